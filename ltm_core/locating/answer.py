@@ -15,14 +15,13 @@ from ltm_core.fuel.codes import fuel_models
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.locating.locator import CameraAgreement, Ellipse, Location
+from ltm_core.locating.locator import Ellipse, Location
 from ltm_core.locating.sight_fan import sight_fan
 from ltm_core.visibility.footprint import line_of_sight_vectors
 from ltm_core.visibility.point_visibility import TOLERANCE, PointState, PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 
-_MARGIN = 3.0
-"""Ratio of an image's width to the uncertainty of a place for the image to show that place."""
+_MARGIN = 3.0  # ratio of an image's width to the uncertainty of a place for the image to show that place
 _NARROWEST_DEG = 2.0
 
 
@@ -58,49 +57,37 @@ def place_views(
     target = np.asarray(place, np.float64)
     if target.shape != (3,) or not np.isfinite(target).all():
         raise RegionError(f"a place needs three finite coordinates, got {target.tolist()}; check that it is on the DEM")
-    return [_view(sight, camera, target, extent) for camera in cameras]
-
-
-def _view(sight: PointVisibility, camera: PosedCamera, place: Float64Array, extent: float) -> PlaceView:
-    seen = sight.visible(camera.camera, camera.pose, place[None])
-    vector = line_of_sight_vectors(camera.pose.position, place, sight.bend)
-    level = math.hypot(vector[0], vector[1])
-    state, lift = PointState(int(seen.states[0])), float(seen.lifts[0])
-    pixel = seen.pixels[0]
-    there = state is not PointState.OUTSIDE and bool(np.isfinite(pixel).all())
-    hfov = math.degrees(2 * math.atan2(_MARGIN * extent, max(level, 1.0)))
-    return PlaceView(
-        camera.name,
-        (float(pixel[0]), float(pixel[1])) if there else None,
-        state,
-        lift,
-        _crest(sight, camera, place) if lift > TOLERANCE else None,
-        math.degrees(math.atan2(vector[0], vector[1])) % 360.0,
-        math.degrees(math.atan2(vector[2], level)),
-        min(max(hfov, _NARROWEST_DEG), 120.0),
-        level,
-    )
+    views = []
+    for camera in cameras:
+        seen = sight.visible(camera.camera, camera.pose, target[None])
+        vector = line_of_sight_vectors(camera.pose.position, target, sight.bend)
+        level = math.hypot(vector[0], vector[1])
+        state, lift, pixel = PointState(int(seen.states[0])), float(seen.lifts[0]), seen.pixels[0]
+        there = state is not PointState.OUTSIDE and bool(np.isfinite(pixel).all())
+        crest = _crest(sight, camera, target) if lift > TOLERANCE else None
+        azimuth, pitch = math.degrees(math.atan2(vector[0], vector[1])), math.degrees(math.atan2(vector[2], level))
+        hfov = math.degrees(2 * math.atan2(_MARGIN * extent, max(level, 1.0)))
+        hfov = min(max(hfov, _NARROWEST_DEG), 120.0)
+        at = (float(pixel[0]), float(pixel[1])) if there else None
+        views.append(PlaceView(camera.name, at, state, lift, crest, azimuth % 360.0, pitch, hfov, level))
+    return views
 
 
 def _crest(sight: PointVisibility, camera: PosedCamera, place: Float64Array) -> tuple[float, float, float] | None:
-    """Return the ground that stands highest in the line of sight, as finely as a fan has it; None where none is
-    known."""
+    """Return the ground that stands highest in the line of sight, as finely as a fan has it; None if unknown."""
     x, y, z = (float(v) for v in camera.pose.position)
-    distance = math.hypot(place[0] - x, place[1] - y)
-    azimuth = math.atan2(place[0] - x, place[1] - y)
+    distance, azimuth = math.hypot(place[0] - x, place[1] - y), math.atan2(place[0] - x, place[1] - y)
     fan = sight_fan(sight.dem, camera.pose.position, np.array([azimuth, azimuth + 1e-6]), max(distance, 10.0))
     heights = fan.heights[0].astype(np.float64)
     before = np.isfinite(heights) & (fan.ranges < distance)
     if not before.any():
         return None
-    slopes = np.where(before, (heights - z) / fan.ranges - sight.bend * fan.ranges, -np.inf)
-    at = int(slopes.argmax())
+    at = int(np.where(before, (heights - z) / fan.ranges - sight.bend * fan.ranges, -np.inf).argmax())
     r = float(fan.ranges[at])
     return x + r * math.sin(azimuth), y + r * math.cos(azimuth), float(heights[at])
 
 
-SHARES = (0.5, 0.95)
-"""Probabilities that the ellipses contain."""
+SHARES = (0.5, 0.95)  # probabilities that the ellipses contain
 
 
 @dataclass(frozen=True)
@@ -150,7 +137,7 @@ def answer(
     heights = sight.dem.elevation_at(posterior.places[:, 0], posterior.places[:, 1])
     known = np.isfinite(heights)
     weights = posterior.probability * known
-    elevation = sigma = float("nan")
+    elevation = sigma = math.nan
     if weights.sum() > 0:
         elevation = float(sight.dem.elevation_at(x, y))
         mean = float(weights @ np.where(known, heights, 0.0) / weights.sum())
@@ -160,9 +147,8 @@ def answer(
     views: tuple[PlaceView, ...] = ()
     if not math.isnan(elevation):
         views = tuple(place_views(sight, cameras, np.array([x, y, elevation]), ellipses[-1].major))
-    return LocateResult(
-        location, place_name(frame, x, y, elevation), sigma, ellipses, fuel_at(prior, x, y), views, smoke
-    )
+    name, fuel = place_name(frame, x, y, elevation), fuel_at(prior, x, y)
+    return LocateResult(location, name, sigma, ellipses, fuel, views, smoke)
 
 
 def place_name(frame: SiteFrame, x: float, y: float, elevation: float) -> PlaceName:
@@ -195,73 +181,51 @@ def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
 
 def as_data(said: LocateResult, frame: SiteFrame) -> dict[str, Any]:
     """Return JSON-ready data: lengths in metres, angles in degrees from grid north, places in the site's CRS."""
-    posterior = said.location.posterior
-    return {
-        "place": asdict(said.name),
-        "likeliest": [_round(posterior.likeliest[0] + frame.x_origin), _round(posterior.likeliest[1] + frame.y_origin)],
-        "sigma": _round(posterior.sigma),
-        "elevation_sigma": _round(said.elevation_sigma),
+    posterior, x0, y0 = said.location.posterior, frame.x_origin, frame.y_origin
+    likeliest = posterior.likeliest
+    data = {
+        "likeliest": [likeliest[0] + x0, likeliest[1] + y0],
+        "sigma": posterior.sigma,
+        "elevation_sigma": said.elevation_sigma,
         "ellipses": [
-            {
-                "share": share,
-                "semi_major": _round(ellipse.major),
-                "semi_minor": _round(ellipse.minor),
-                "azimuth_deg": _round(ellipse.azimuth_deg),
-            }
-            for share, ellipse in zip(SHARES, said.ellipses, strict=True)
+            {"share": share, "semi_major": e.major, "semi_minor": e.minor, "azimuth_deg": e.azimuth_deg}
+            for share, e in zip(SHARES, said.ellipses, strict=True)
         ],
-        "modes": [
-            {
-                "share": _round(mode.share),
-                "x": _round(mode.centre[0] + frame.x_origin),
-                "y": _round(mode.centre[1] + frame.y_origin),
-            }
-            for mode in posterior.modes
-        ],
+        "modes": [{"share": m.share, "x": m.centre[0] + x0, "y": m.centre[1] + y0} for m in posterior.modes],
         "smoke": said.smoke,
-        "least_visible_height": _round(said.location.lift) if said.smoke else None,
+        "least_visible_height": said.location.lift if said.smoke else None,
         "fuel": None if said.fuel is None else asdict(said.fuel),
-        "agreement": agreement_data(said.location.agreement),
+        "agreement": None,
         "cameras": [view_data(view, frame) for view in said.views],
     }
-
-
-def agreement_data(agreement: CameraAgreement | None) -> dict[str, Any] | None:
-    if agreement is None:
-        return None
-    return {
-        "agree": agreement.agree,
-        "statistic": _round(min(agreement.statistic, 1e6)),
-        "limit": _round(agreement.limit),
-        "suspicion": {name: _round(share) for name, share in agreement.suspicion.items()},
-    }
+    if (agreement := said.location.agreement) is not None:
+        statistic = {"statistic": min(agreement.statistic, 1e6), "limit": agreement.limit}
+        data["agreement"] = {"agree": agreement.agree, **statistic, "suspicion": agreement.suspicion}
+    return {"place": asdict(said.name), **_rounded(data)}
 
 
 def view_data(view: PlaceView, frame: SiteFrame) -> dict[str, Any]:
     """Return one camera's view of a place."""
     hidden = view.hidden_by
-    return {
+    data = {
         "camera": view.camera,
         "state": view.state.name.lower(),
-        "pixel": None if view.pixel is None else [_round(v) for v in view.pixel],
-        "distance": _round(view.distance),
-        "bearing_deg": _round(view.azimuth_deg),
-        "pitch_deg": _round(view.pitch_deg),
-        "hfov_deg": _round(view.hfov_deg),
-        "least_visible_height": None if math.isnan(view.lift) else _round(view.lift),
-        "hidden_by": None
-        if hidden is None
-        else [_round(hidden[0] + frame.x_origin), _round(hidden[1] + frame.y_origin), _round(hidden[2])],
+        "pixel": view.pixel,
+        "distance": view.distance,
+        "bearing_deg": view.azimuth_deg,
+        "pitch_deg": view.pitch_deg,
+        "hfov_deg": view.hfov_deg,
+        "least_visible_height": view.lift,
+        "hidden_by": hidden and [hidden[0] + frame.x_origin, hidden[1] + frame.y_origin, hidden[2]],
     }
+    return dict(_rounded(data))
 
 
 def as_geojson(said: LocateResult, frame: SiteFrame, properties: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return a FeatureCollection (RFC 7946: WGS 84, longitude first): the mean place with all properties, the ellipses,
-    and the modes if there are several."""
+    """Return a FeatureCollection (RFC 7946): the mean place with all properties, the ellipses, and several modes."""
 
     def lonlat(points: Float64Array) -> list[list[float]]:
-        lon, lat = frame.to_lonlat(points[:, 0], points[:, 1])
-        return [[round(float(a), 7), round(float(b), 7)] for a, b in zip(lon, lat, strict=True)]
+        return np.column_stack(frame.to_lonlat(points[:, 0], points[:, 1])).round(7).tolist()  # type: ignore[no-any-return]
 
     def feature(kind: str, coordinates: Any, values: dict[str, Any]) -> dict[str, Any]:
         return {"type": "Feature", "geometry": {"type": kind, "coordinates": coordinates}, "properties": values}
@@ -271,12 +235,18 @@ def as_geojson(said: LocateResult, frame: SiteFrame, properties: dict[str, Any] 
     for share, ellipse in zip(SHARES, said.ellipses, strict=True):
         features.append(feature("Polygon", [lonlat(ellipse.outline())], {"role": "ellipse", "share": share}))
     modes = said.location.posterior.modes
-    if len(modes) > 1:
-        for mode in modes:
-            (centre,) = lonlat(np.array([mode.centre]))
-            features.append(feature("Point", centre, {"role": "mode", "share": _round(mode.share)}))
+    for mode in modes if len(modes) > 1 else ():
+        values = {"role": "mode", "share": round(mode.share, 4)}
+        features.append(feature("Point", lonlat(np.array([mode.centre]))[0], values))
     return {"type": "FeatureCollection", "features": features}
 
 
-def _round(value: float) -> float | None:
-    return round(float(value), 4) if math.isfinite(value) else None
+def _rounded(value: Any) -> Any:
+    """Return JSON-ready data with numbers rounded to four places; None for those that are not finite."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    if isinstance(value, float):
+        return round(float(value), 4) if math.isfinite(value) else None
+    return value

@@ -22,23 +22,19 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.locating.region import ImageMark
 from ltm_core.locating.settings import LocatingConfig
-from ltm_core.locating.sight_fan import Drifts, HeightErrors, RayMark, RayTerrain, SightFan, SmokeDensities
+from ltm_core.locating.sight_fan import Rays, SightFan, SmokeDensities
 from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import pixel_rays
 
-STEEPEST_DEG = 80.0
-"""Maximum angle in degrees below the horizon; a camera that points more steeply has no reliable azimuth."""
-LEAST_KNOWN_DEG = 20.0
-"""Standard deviation of an azimuth in degrees above which a camera's direction counts as unknown."""
-KNOTS = np.geomspace(5.0, 80_000.0, 15)
-"""Ranges in metres at which covariances are computed."""
+STEEPEST_DEG = 80.0  # maximum angle to the horizon; a camera that points more steeply has no reliable azimuth
+LEAST_KNOWN_DEG = 20.0  # standard deviation of an azimuth in degrees above which a camera's direction counts as unknown
+KNOTS = np.geomspace(5.0, 80_000.0, 15)  # ranges in metres at which covariances are computed
 
 
 @dataclass(frozen=True, eq=False)
 class MarkedDirections:
-    """Directions of a mark. `azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) of both at the ranges
-    KNOTS."""
+    """Directions of a mark. `azimuth`, `slope`, `weights`: (K,). `covariance`: (K, J, 2, 2) at the ranges KNOTS."""
 
     azimuth: Float64Array
     slope: Float64Array
@@ -54,8 +50,7 @@ class MarkedDirections:
 def marked_directions(
     mark: ImageMark, camera: Camera, pose: Pose, covariance: Float64Array, focal_sigma: float
 ) -> MarkedDirections:
-    """Compute the directions of a mark. Raises RegionError for pixels without a ray, and for those that point steeply
-    down or up."""
+    """Compute the directions of a mark. Raises RegionError for pixels without a ray, and for steep ones."""
     rays = pixel_rays(camera, mark.pixels)
     if np.isnan(rays).any():
         u, v = mark.pixels[np.isnan(rays).any(axis=1)][0]
@@ -66,9 +61,9 @@ def marked_directions(
     steep = np.abs(slope) > math.tan(math.radians(STEEPEST_DEG))
     if steep.any():
         u, v = mark.pixels[steep][0]
+        off = math.degrees(math.atan(slope[steep][0]))
         raise RegionError(
-            f"pixel ({u:g}, {v:g}) is {math.degrees(math.atan(slope[steep][0])):.0f} degrees from the horizon: "
-            f"only directions within {STEEPEST_DEG:g} degrees of it are located"
+            f"pixel ({u:g}, {v:g}) is {off:.0f} degrees from the horizon; at most {STEEPEST_DEG:g} are located"
         )
     first = np.arctan2(d[0, 0], d[0, 1])
     azimuth = first + (np.arctan2(d[:, 0], d[:, 1]) - first + np.pi) % (2 * np.pi) - np.pi
@@ -80,18 +75,17 @@ def marked_directions(
     sine, cosine = np.sin(azimuth), np.cos(azimuth)
     zero = np.zeros_like(sine)
     # Of the direction with respect to the vector to the point, times its horizontal length.
-    grad = np.stack(
-        [np.stack([cosine, -sine, zero], -1), np.stack([-slope * sine, -slope * cosine, np.ones_like(sine)], -1)], 1
-    )
+    rise = np.stack([-slope * sine, -slope * cosine, np.ones_like(sine)], -1)
+    grad = np.stack([np.stack([cosine, -sine, zero], -1), rise], 1)
     unit = d / level[:, None]
     turned = np.cross(unit[:, None, :], grad)
     rows = np.concatenate([-grad[:, None] / KNOTS[:, None, None], np.repeat(-turned[:, None], len(KNOTS), 1)], -1)
     total = np.einsum("kjab,bc,kjdc->kjad", rows, covariance, rows) + own[:, None]
     found = MarkedDirections(azimuth, slope, mark.weights, np.asarray(total, np.float64))
     if not found.azimuth_sigma < math.radians(LEAST_KNOWN_DEG):
+        sigma = math.degrees(found.azimuth_sigma)
         raise RegionError(
-            f"the azimuth of the mark has a sigma of {math.degrees(found.azimuth_sigma):.3g} degrees; with more than "
-            f"{LEAST_KNOWN_DEG:g} nothing can be located: check the pose covariance"
+            f"the mark's azimuth has a sigma of {sigma:.3g} degrees, too large; check the pose covariance"
         )
     return found
 
@@ -103,21 +97,19 @@ def _per_pixel(camera: Camera, pose: Pose, azimuth: Float64Array, slope: Float64
     def pixels(a: Float64Array, t: Float64Array) -> Float64Array:
         return camera.project(np.stack([np.sin(a), np.cos(a), t], axis=-1) @ pose.rotation)
 
-    # One-sided where the other side leaves the lens's model.
-    here = pixels(azimuth, slope)
-    columns = []
+    here, columns = pixels(azimuth, slope), []
     for da, dt in ((step, 0.0), (0.0, step)):
         ahead, behind = pixels(azimuth + da, slope + dt) - here, here - pixels(azimuth - da, slope - dt)
-        both = np.where(np.isnan(ahead), behind, np.where(np.isnan(behind), ahead, (ahead + behind) / 2))
-        columns.append(both / step)
+        # One-sided where the other side leaves the lens's model.
+        ahead, behind = np.where(np.isnan(ahead), behind, ahead), np.where(np.isnan(behind), ahead, behind)
+        columns.append((ahead + behind) / 2 / step)
     jacobian = np.stack(columns, axis=-1)
     if not np.isfinite(jacobian).all() or (np.abs(np.linalg.det(jacobian)) < 1e-9).any():
         raise RegionError("the region is at the edge of the lens model, where pixels have no direction; check k1")
     return np.asarray(np.linalg.inv(jacobian), np.float64)
 
 
-DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])
-"""Standard deviations of sideways drift in radians for which azimuths are computed."""
+DRIFTS = np.array([0.0, 0.0015, 0.004, 0.01, 0.025])  # sigmas of sideways drift (rad) with azimuths of their own
 NEXT_DRIFT = np.concatenate([[DRIFTS[1] / 2], np.sqrt(DRIFTS[1:-1] * DRIFTS[2:])])
 TURN_SCALE = math.radians(2.0)
 MOST_TURNED = math.radians(15.0)
@@ -127,8 +119,7 @@ frequent than large ones, and the distribution of their size is unknown."""
 
 @dataclass(frozen=True, eq=False)
 class DirectionTable:
-    """Marked directions by DRIFTS, azimuth of the fan and knot of range: `density` (D, A, J) of the azimuth; `slope`,
-    `variance` (A, J) of the slope there, without drift."""
+    """Marked directions by drift, azimuth and knot: `density` (D, A, J); `slope`, `variance` (A, J) without drift."""
 
     density: Float64Array
     slope: Float64Array
@@ -136,8 +127,7 @@ class DirectionTable:
 
 
 def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifting: bool) -> DirectionTable:
-    """Tabulate marked places, each a normal distribution of azimuth and slope; at each azimuth, the slope is summarised
-    by its mean and variance."""
+    """Tabulate marked places, normal distributions of azimuth and slope; at each azimuth, slopes have one mean."""
     c = directions.covariance
     off = azimuths[:, None, None] - directions.azimuth[None, :, None]
     drifts = DRIFTS if drifting else DRIFTS[:1]
@@ -161,23 +151,12 @@ def direction_table(directions: MarkedDirections, azimuths: Float64Array, drifti
 def turned_table(directions: MarkedDirections, azimuths: Float64Array) -> DirectionTable:
     """Return the table of a camera turned by an unknown angle: the marked slope, and an equally uncertain azimuth."""
     middle = float(directions.azimuth @ directions.weights)
-    turned = turn_density(directions, azimuths - middle)
-    shape = (len(azimuths), len(KNOTS))
+    spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
+    scale, shape = math.sqrt(TURN_SCALE**2 + spread), (len(azimuths), len(KNOTS))
+    turned = scale / (scale**2 + (azimuths - middle) ** 2) / (2 * math.atan(MOST_TURNED / scale))
     slope, variance = _slope(directions)
     density = np.broadcast_to(turned[:, None], shape)[None].copy()
     return DirectionTable(density, np.full(shape, slope), np.broadcast_to(variance, shape).copy())
-
-
-def turn_density(directions: MarkedDirections, off: Float64Array) -> Float64Array:
-    """Return the density of azimuths at an angle from the marked one, for a camera turned by an unknown angle."""
-    middle = float(directions.azimuth @ directions.weights)
-    spread = float(directions.weights @ (directions.azimuth - middle) ** 2)
-    return turn_prior(off, math.sqrt(TURN_SCALE**2 + spread))
-
-
-def turn_prior(turn: Float64Array, scale: float = TURN_SCALE) -> Float64Array:
-    """Return the density of the angle by which a turned camera is turned."""
-    return np.asarray(scale / (scale**2 + turn**2) / (2 * math.atan(MOST_TURNED / scale)), np.float64)
 
 
 def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
@@ -187,19 +166,15 @@ def _slope(directions: MarkedDirections) -> tuple[float, Float64Array]:
     return slope, own + float(directions.weights @ (directions.slope - slope) ** 2)
 
 
-LEVEL_SHARE = 0.1
-"""Minimum standard deviation of heights between nodes, as a share of the raster's cell size."""
-APART_CELLS = 4.0
-"""Distance in cells beyond which height errors of a raster are independent."""
-OTHERWISE = 0.2
-"""Share of wrong cameras whose slope is wrong too."""
+LEVEL_SHARE = 0.1  # minimum standard deviation of heights between nodes, as a share of the raster's cell size
+APART_CELLS = 4.0  # distance in cells beyond which height errors of a raster are independent
+OTHERWISE = 0.2  # share of wrong cameras whose slope is wrong too
 OTHER_SLOPE = 1 / (math.radians(2.0) * ROOT_2PI)
 """Density of the slope of a wrong camera: that of a normal distribution with a sigma of two degrees."""
 
 
 def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float64Array]:
-    """Return, by raster of the terrain (L,), the variance of heights and the distance in metres beyond which their
-    errors are independent."""
+    """Return, by raster of the terrain (L,), the variance of heights and their correlation length in metres."""
     resolutions = np.array([level.geometry.resolution for level in dem.levels])
     return np.maximum(config.dem_sigma, LEVEL_SHARE * resolutions) ** 2, APART_CELLS * resolutions
 
@@ -207,8 +182,7 @@ def level_errors(dem: Dem, config: LocatingConfig) -> tuple[Float64Array, Float6
 @dataclass(frozen=True, eq=False)
 class SightLikelihood:
     """Likelihood of the samples of a fan, (A, R) each. `density`: of the marked direction. `fit`: that over the
-    sample's maximum for the best mark, 1 for full agreement. `lifts`: metres above the ground from which something is
-    visible."""
+    sample's maximum for the best mark. `lifts`: metres above the ground from which something is visible."""
 
     density: Float64Array
     fit: Float32Array
@@ -233,22 +207,20 @@ def sight_likelihood(
     something on the ground. `lean`: `LocatingConfig.plume_lean`. `turned`: the table is a `turned_table`."""
     shape = fan.heights.shape
     knots = np.clip(np.searchsorted(KNOTS, fan.ranges), 0, len(KNOTS) - 1)
-    terrain = RayTerrain(fan.heights, fan.levels, fan.ranges, knots, height, bend)
-    marked = RayMark(table.density[0], table.slope, table.variance)
+    mark = table.density[0], table.slope, table.variance
+    rays = Rays(fan.heights, fan.levels, fan.ranges, knots, height, bend, *mark, variances, apart)
     density, fit, lifts = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     if not smoke:
-        ground_along(terrain, marked, variances, density, fit, lifts)
+        ground_along(rays, density, fit, lifts)
     else:
         hidden, hidden_fit, unseen = np.zeros(shape), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         found = SmokeDensities(density, hidden, fit, hidden_fit, unseen, lifts)
         rise = math.inf if turned or lean <= 0 else NEXT_DRIFT[0] / lean
-        smoke_along(terrain, marked, HeightErrors(variances, apart), rise, found)
-        if turned:
-            add_smeared(terrain, marked, fan.azimuths, lean, found)
-        else:
-            drifting = Drifts(fan.widths, table.density, table.density.max(axis=1), lean, NEXT_DRIFT)
-            add_drifted(terrain, marked, drifting, found)
+        smoke_along(rays, rise, found)
+        if not turned:
+            add_drifted(rays, fan.widths, table.density, lean, NEXT_DRIFT, found)
             return SightLikelihood(density, fit, lifts)
+        add_smeared(rays, fan.azimuths, lean, found)
     azimuth = table.density[0][:, knots]
     if turned:
         known = np.isfinite(fan.heights)

@@ -20,8 +20,7 @@ from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 @dataclass(frozen=True, eq=False)
 class SightRaster:
     """Sight raster of one fan, (H, W) each. `density`: of the marked direction, given the cell; 0 where the fan has no
-    sample. `fit`: of the cell's best sample (`SightLikelihood.fit`). `lift`: metres above the ground from which
-    something is visible, of the more likely parts of the cell."""
+    sample. `fit`: of the cell's best sample. `lift`: metres above the ground from which something is visible."""
 
     density: Float64Array
     fit: Float64Array
@@ -32,13 +31,10 @@ class SightRaster:
         return np.asarray(self.density > 0)
 
 
-def sight_raster(
-    fan: SightFan, likelihood: SightLikelihood, position: Float64Array, window: GridGeometry
-) -> SightRaster:
-    """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its azimuth's
-    share."""
+def sight_raster(fan: SightFan, likelihood: SightLikelihood, eye: Float64Array, window: GridGeometry) -> SightRaster:
+    """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its share."""
     sums = np.zeros((4, *window.shape))
-    origin = np.array([position[0] - window.x_min, window.y_max - position[1]]) / window.resolution
+    origin = np.array([eye[0] - window.x_min, window.y_max - eye[1]]) / window.resolution
     densities = likelihood.density, likelihood.fit, likelihood.lifts
     _splat(fan.ranges, fan.steps, fan.widths, fan.azimuths, *densities, origin, 1 / window.resolution, sums)
     total, area, lift, fit = sums
@@ -79,18 +75,12 @@ def _splat(
                 fit[i, j] = max(fit[i, j], fits[a, k])
 
 
-_SIDE = 240
-"""Number of cells along the longer side of a window."""
-_FINEST = 0.5
-"""Minimum cell size in metres."""
-_BEYOND = 20.0
-"""Excess of misfit over the best place above which a place is not refined."""
+_SIDE = 240  # number of cells along the longer side of a window
+_FINEST = 0.5  # minimum cell size in metres
+_BEYOND = 20.0  # excess of misfit over the best place above which a place is not refined
 _ROUNDS = 3
-_ALIKE = 8
-"""Exponent of the cosine between the directions of two cameras that measures how far they count as one: 0.76 at 15
-degrees, 0.06 at 45."""
-_SHRINKS = 0.5
-"""Factor by which a window must shrink for another refinement."""
+_ALIKE = 8  # exponent of the cosine between two cameras by which they count as one: 0.76 at 15 degrees, 0.06 at 45
+_SHRINKS = 0.5  # factor by which a window must shrink for another refinement
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +101,15 @@ class Fused:
 
 
 def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Sequence[Sight] = ()) -> Fused:
-    """Fuse all sights at the resolution that their common places need. `turned`: sights of a camera that is turned by
-    an unknown angle."""
+    """Fuse all sights at the resolution that their common places need. `turned`: of a camera turned by any angle."""
     shared = _shared([*sights, *turned])
     supports = [terrain.support(sight) for sight in sights]
-    window = _common_window([bounds for bounds, _ in supports], max(cell for _, cell in supports))
+    edges = np.array([bounds for bounds, _ in supports])
+    low, high = edges[:, :2].max(axis=0), edges[:, 2:].min(axis=0)
+    if (high <= low).any():  # no place for all: the raster says so of every cell
+        low, high = edges[:, :2].min(axis=0), edges[:, 2:].max(axis=0)
+    finest = max(max(cell for _, cell in supports), float((high - low).max()) / _SIDE)
+    window = covering((float(low[0]), float(low[1]), float(high[0]), float(high[1])), finest)
     found = _fused(terrain, sights, shared, window)
     for number in range(_ROUNDS):
         if not np.isfinite(found.least):
@@ -130,7 +124,7 @@ def fused_closely(terrain: LocatingTerrain, sights: Sequence[Sight], turned: Seq
         wanted = max(_FINEST, extent / _SIDE)
         bounds = x_min, y_min, x_max, y_max
         closer = [terrain.look_closer(sight, bounds, wanted) for sight in sights]
-        others = [terrain.look_turned(sight, bounds, wanted) for sight in turned]
+        others = [terrain.look_closer(sight, bounds, wanted, turned=True) for sight in turned]
         resolution = max(wanted, *(sight.cell for sight in (*closer, *others)))
         found = _fused(terrain, closer, shared, covering(bounds, resolution), others)
     return found
@@ -169,18 +163,8 @@ def mixture(parts: Sequence[Fused], shares: Sequence[float]) -> Fused:
 
 
 def covering(bounds: Bounds, resolution: float) -> GridGeometry:
-    """Return a grid at whole multiples of the resolution from the map's origin, so that equal places give equal
-    rasters."""
+    """Return a grid at whole multiples of the resolution from the origin: equal places give equal rasters."""
     return GridGeometry.snapped(bounds, resolution, 0.0)
-
-
-def _common_window(supports: Sequence[Bounds], cell: float) -> GridGeometry:
-    bounds = np.array(supports)
-    low, high = bounds[:, :2].max(axis=0), bounds[:, 2:].min(axis=0)
-    if (high <= low).any():  # no place for all: the raster says so of every cell
-        low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
-    whole = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    return covering(whole, max(cell, float((high - low).max()) / _SIDE))
 
 
 def _fused(

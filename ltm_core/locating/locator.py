@@ -21,11 +21,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
-from scipy.special import chdtri
+from scipy.special import chdtri, logsumexp, softmax
 
 from ltm_core.base.errors import RegionError
 from ltm_core.base.types import BoolArray, Float64Array, Int32Array
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.directions import OTHER_SLOPE
@@ -37,8 +36,7 @@ from ltm_core.raster.dem import Dem
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Ellipse. `centre`: x, y. `major`, `minor`: half axes, metres. `azimuth_deg`: of the major one, from grid
-    north."""
+    """Ellipse. `centre`: x, y. `major`, `minor`: half axes, metres. `azimuth_deg`: of the major one."""
 
     centre: tuple[float, float]
     major: float
@@ -52,11 +50,9 @@ class Ellipse:
 
     def outline(self, count: int = 72) -> Float64Array:
         """Return (count + 1, 2) x, y of the closed outline, counter-clockwise."""
-        angle = np.linspace(0, 2 * np.pi, count + 1)
-        azimuth = math.radians(self.azimuth_deg)
+        angle, azimuth = np.linspace(0, 2 * np.pi, count + 1)[:, None], math.radians(self.azimuth_deg)
         along = np.array([math.sin(azimuth), math.cos(azimuth)])
-        left = np.array([-along[1], along[0]])
-        around = self.major * np.cos(angle)[:, None] * along + self.minor * np.sin(angle)[:, None] * left
+        around = self.major * np.cos(angle) * along + self.minor * np.sin(angle) * [-along[1], along[0]]
         return np.asarray(around + np.array(self.centre), np.float64)
 
 
@@ -80,8 +76,7 @@ class Posterior:
 
     @classmethod
     def of_raster(cls, raster: Float64Array, geometry: GridGeometry) -> Posterior | None:
-        """Return the posterior of unnormalised densities (H, W); cells with less than 1e-9 of the maximum are
-        dropped. None if all densities are 0."""
+        """Return the posterior of densities (H, W), without cells below 1e-9 of the maximum; None if all are 0."""
         greatest = float(raster.max(initial=0.0))
         if not greatest > 0:
             return None
@@ -112,8 +107,7 @@ class Posterior:
         return math.sqrt(float(np.trace(self.covariance)))
 
     def ellipse(self, share: float) -> Ellipse:
-        """Return the ellipse with the covariance's shape around the mean that contains `share` of the probability; for
-        a normal distribution it is the usual one."""
+        """Return the ellipse with the covariance's shape around the mean that contains `share` of the probability."""
         values, vectors = np.linalg.eigh(self.covariance)
         along = vectors[:, 1]
         azimuth = math.degrees(math.atan2(along[0], along[1])) % 180.0
@@ -137,8 +131,7 @@ class Posterior:
 
     @cached_property
     def likeliest(self) -> tuple[float, float]:
-        """Return the mean x, y of the most probable connected part of the densest half: the first place to search. The
-        mean of all may lie between two places."""
+        """Return the mean x, y of the likeliest part of the densest half; the mean of all may lie between places."""
         return self._parts(0.5)[0].centre
 
     def _parts(self, share: float) -> tuple[Mode, ...]:
@@ -177,20 +170,6 @@ def reach_in_ellipse(ellipse: Ellipse, places: Float64Array) -> Float64Array:
     )
 
 
-def read_mask(path: Path, camera: Camera) -> BoolArray:
-    """Read a mask of the camera's image size; non-black pixels are masked, (H, W). Raises ImageError for a file that is
-    no image, RegionError for one of another size."""
-    from ltm_core.storage.image_io import read_rgb
-
-    mask = read_rgb(path).any(axis=2)
-    if mask.shape != (camera.height, camera.width):
-        raise RegionError(
-            f"{path}: a mask of {mask.shape[1]} x {mask.shape[0]} pixels, but the camera's images have "
-            f"{camera.width} x {camera.height}"
-        )
-    return mask
-
-
 def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
     """Write the probability of each cell, float32, in the frame's CRS; 0 outside the posterior."""
     from ltm_core.raster.raster_io import write_geotiff
@@ -200,10 +179,8 @@ def write_posterior(path: Path, posterior: Posterior, frame: SiteFrame) -> None:
 
 
 MOST_SIGHTINGS = 64
-_NEGLIGIBLE = 0.02
-"""Probability of a wrong camera below which the solution without it is ignored."""
-_ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)
-"""Density of marks, in any azimuth, of the one in fifty wrong cameras that mark another object."""
+_NEGLIGIBLE = 0.02  # probability of a wrong camera below which the solution without it is ignored
+_ELSEWHERE = 0.02 * OTHER_SLOPE / (2 * math.pi)  # density of marks of another object, by one in fifty wrong cameras
 
 
 @dataclass(frozen=True)
@@ -233,8 +210,7 @@ class Location:
 
 
 class Locator:
-    """Locator of marks on one terrain. `dem`: the visible surface (`Site.open_surface`), in the frame of the poses.
-    `bend`: curvature coefficient of rays, `geodesy.ray_bend`."""
+    """Locator of marks on one terrain. `dem`: the visible surface in the frame of the poses. `bend`: of rays."""
 
     def __init__(self, dem: Dem, bend: float, config: LocatingConfig = LocatingConfig()) -> None:
         self.dem = dem
@@ -243,10 +219,8 @@ class Locator:
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
         """Locate the marked object by one or several sightings of it. `smoke`: its lowest visible part is marked, and
-        its foot may be hidden; else it stands on the ground that is marked.
-
-        Raises RegionError: no sighting, too many, one of sky or unknown terrain; PoseError for a camera under the
-        ground or an invalid covariance."""
+        its foot may be hidden; else it stands on the ground that is marked. Raises RegionError: no sighting, too many,
+        one of sky or unknown terrain; PoseError for a camera under the ground or an invalid covariance."""
         if not 1 <= len(sightings) <= MOST_SIGHTINGS:
             raise RegionError(f"give 1 to {MOST_SIGHTINGS} sightings, got {len(sightings)}")
         terrain = LocatingTerrain(self.dem, self.bend, self.config, smoke)
@@ -256,18 +230,20 @@ class Locator:
         if len(names) == 1:
             return _location(fused, None)
         limit = math.log(self.config.wrong_odds)
-        parted = {
-            name: ([s for s in sights if s.name != name], [s for s in sights if s.name == name]) for name in names
-        }
-        turned = [fused_closely(terrain, others, wrong) for others, wrong in parted.values()]
+        parted = [([s for s in sights if s.name != n], [s for s in sights if s.name == n]) for n in names]
+        turned = [fused_closely(terrain, others, wrong) for others, wrong in parted]
         evidences = np.array([part.log_evidence for part in turned])
-        statistic = _log_mean(evidences) - fused.log_evidence if np.isfinite(fused.log_evidence) else math.inf
+        statistic = math.inf
+        if np.isfinite(fused.log_evidence):
+            statistic = float(logsumexp(evidences)) - math.log(len(names)) - fused.log_evidence
         if not statistic > limit:
             return _location(fused, CameraAgreement(statistic, limit, {}))
         # What a wrong camera marks may be another thing, in any direction.
-        without = [fused_closely(terrain, others) for others, _ in parted.values()]
+        without = [fused_closely(terrain, others) for others, _ in parted]
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
-        chances = _shares(np.logaddexp(evidences, elsewhere))
+        both = np.logaddexp(evidences, elsewhere)
+        # Equally likely before; where nothing is possible under any, still equal.
+        chances = softmax(both if np.isfinite(both.max()) else np.zeros(len(names))).tolist()
         agreement = CameraAgreement(statistic, limit, dict(zip(names, chances, strict=True)))
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
@@ -284,17 +260,3 @@ def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:
         raise RegionError("no place on the map fits all sightings; they show different objects")
     lift = float(posterior.probability @ fused.lift[posterior.rows, posterior.cols])
     return Location(posterior, fused.least, agreement, lift)
-
-
-def _shares(evidences: Float64Array) -> list[float]:
-    """Return the probabilities of hypotheses that are equally likely before; where nothing is possible under any, still
-    equal."""
-    if not np.isfinite(evidences.max()):
-        return [1 / len(evidences)] * len(evidences)
-    weights = np.exp(evidences - evidences.max())
-    return [float(w) for w in weights / weights.sum()]
-
-
-def _log_mean(values: Float64Array) -> float:
-    greatest = float(values.max())
-    return greatest + math.log(float(np.exp(values - greatest).mean())) if np.isfinite(greatest) else greatest

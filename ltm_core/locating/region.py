@@ -11,22 +11,15 @@ from ltm_core.base.errors import RegionError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
 
-MOST_VERTICES = 1_000
-"""Maximum number of vertices of a polygon; outlines of detectors have tens."""
-_COLUMNS = 17
-"""Number of places at which a lower edge is sampled."""
-_OVERLAP = 0.6
-"""Standard deviation of a sampled place as a share of the distance to the next; the sum is then flat within a few
-percent."""
-_FOOT = 0.15
-"""Share of a plume's height in the image over which the probability of its base falls by a factor e. The lower edge of
-a leaning plume rises from its base."""
+MOST_VERTICES = 1_000  # maximum number of vertices of a polygon; outlines of detectors have tens
+_COLUMNS = 17  # number of places at which a lower edge is sampled
+_OVERLAP = 0.6  # sigma of a sampled place, share of the spacing; the sum is then flat within a few percent
+_FOOT = 0.15  # share of a leaning plume's height over which the probability of its base falls by a factor e
 
 
 @dataclass(frozen=True, eq=False)
 class ImageMark:
-    """Places in an image where an object may meet the ground. `pixels`: (K, 2) u, v. `weights`: (K,) sums to 1.
-    `sigmas`: (K, 2) of u and v, pixels."""
+    """Where an object may meet the ground. `pixels`: (K, 2) u, v; `sigmas`: theirs. `weights`: (K,) sums to 1."""
 
     pixels: Float64Array
     weights: Float64Array
@@ -40,10 +33,7 @@ def marked_pixel(camera: Camera, pixel: ArrayLike, sigma: float, mask: BoolArray
         raise RegionError(f"a pixel is two finite numbers u, v, got {place.tolist()}")
     u, v = place
     if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
-        raise RegionError(
-            f"pixel ({u:g}, {v:g}) is outside the image of {camera.width} x {camera.height}; (0, 0) is the centre of "
-            "its top-left pixel"
-        )
+        raise RegionError(f"pixel ({u:g}, {v:g}) is outside the image of {camera.width} x {camera.height}")
     if _masked(camera, place[None], mask)[0]:
         raise RegionError(f"pixel ({u:g}, {v:g}) is masked and cannot be located")
     return ImageMark(place[None], np.ones(1), np.full((1, 2), sigma))
@@ -58,9 +48,7 @@ def marked_box(
         raise RegionError(f"a box is four finite numbers u_min, v_min, u_max, v_max, got {corners.tolist()}")
     u0, v0, u1, v1 = corners
     if u1 < u0 or v1 < v0:
-        raise RegionError(
-            f"a box goes from its top left to its bottom right, got u {u0:g} to {u1:g}, v {v0:g} to {v1:g}"
-        )
+        raise RegionError(f"a box has u_min < u_max and v_min < v_max, got u {u0:g} to {u1:g}, v {v0:g} to {v1:g}")
     outline = np.array([[u0, v0], [u1, v0], [u1, v1], [u0, v1]])
     return marked_polygon(camera, outline, sigma, share, smoke, mask)
 
@@ -80,13 +68,10 @@ def marked_polygon(
         raise RegionError("a region's points must be finite pixels")
     if len(points) == 1:
         return marked_pixel(camera, points[0], sigma, mask)
-    u_low, v_low = points.min(axis=0)
-    u_high, v_high = points.max(axis=0)
+    (u_low, v_low), (u_high, v_high) = points.min(axis=0), points.max(axis=0)
     if u_high < -0.5 or v_high < -0.5 or u_low > camera.width - 0.5 or v_low > camera.height - 0.5:
-        raise RegionError(
-            f"the region, u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}, is outside the image of "
-            f"{camera.width} x {camera.height}"
-        )
+        spans = f"u {u_low:g} to {u_high:g}, v {v_low:g} to {v_high:g}"
+        raise RegionError(f"the region, {spans}, is outside the image of {camera.width} x {camera.height}")
     if v_high >= camera.height - 1:
         raise RegionError(
             f"the region touches the image's lower edge (row {v_high:g} of {camera.height}), so its base may be "
@@ -94,23 +79,15 @@ def marked_polygon(
         )
     left, right = max(u_low, 0.0), min(u_high, camera.width - 1.0)
     columns = np.linspace(left, right, _COLUMNS) if right - left > sigma else np.array([(left + right) / 2])
-    edge = _lower_edge(points, columns)
-    inside = np.isfinite(edge) & (edge >= -0.5)
-    columns, edge = columns[inside], edge[inside]
-    pixels = np.column_stack([columns, edge])
-    kept = ~_masked(camera, pixels, mask) if len(pixels) else np.zeros(0, np.bool_)
-    if not kept.any():
+    pixels = np.column_stack([columns, _lower_edge(points, columns)])
+    pixels = pixels[pixels[:, 1] >= -0.5]  # not where there is no edge either
+    pixels = pixels[~_masked(camera, pixels, mask)]
+    if not len(pixels):
         raise RegionError("the region's lower edge is masked or above the image; nothing can be located")
-    spacing = (right - left) / max(1, _COLUMNS - 1)
-    height = float(v_high - v_low)
-    weights = np.ones(len(pixels))
-    if smoke:
-        weights = np.exp(-(edge.max() - edge) / max(_FOOT * height, sigma))
-    weights = np.where(kept, weights, 0.0)
-    sigmas = np.empty((len(pixels), 2))
-    sigmas[:, 0] = max(sigma, _OVERLAP * spacing)
-    sigmas[:, 1] = max(sigma, share * height)
-    return ImageMark(pixels[kept], weights[kept] / weights.sum(), sigmas[kept])
+    height, edge = float(v_high - v_low), pixels[:, 1]
+    weights = np.exp((edge - edge.max()) / max(_FOOT * height, sigma)) if smoke else np.ones(len(pixels))
+    own = max(sigma, _OVERLAP * (right - left) / max(1, _COLUMNS - 1)), max(sigma, share * height)
+    return ImageMark(pixels, weights / weights.sum(), np.tile(own, (len(pixels), 1)))
 
 
 def _lower_edge(points: Float64Array, columns: Float64Array) -> Float64Array:

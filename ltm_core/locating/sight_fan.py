@@ -11,11 +11,9 @@ from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.raster.dem import Dem
 
-NEAREST = 3.0
-"""Range in metres at which a fan begins."""
+NEAREST = 3.0  # range in metres at which a fan begins
 _LEAST_STEP = 0.5
-_STEP = 0.003
-"""Step as a share of the range."""
+_STEP = 0.003  # step as a share of the range
 _STEPS_INSIDE = 1_000
 NO_LEVEL = np.uint8(255)
 
@@ -68,8 +66,7 @@ def sight_fan(
 
 
 def fan_ranges(max_range: float, fine: tuple[float, float, float] | None) -> Float64Array:
-    """Return the ranges of samples, (R,) metres: steps of 0.3 % of the range, at least half a metre, finer on
-    request."""
+    """Return the ranges of samples, (R,) metres: steps of 0.3 %, at least half a metre, finer on request."""
     turn = _LEAST_STEP / _STEP
     near = np.arange(NEAREST, min(turn, max_range), _LEAST_STEP)
     far = turn * (1 + _STEP) ** np.arange(max(0.0, np.ceil(np.log(max_range / turn) / np.log1p(_STEP))))
@@ -118,9 +115,12 @@ def _sample(
             levels[a, k] = number
 
 
-class RayTerrain(NamedTuple):
-    """Terrain along rays. `heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,) the knot of
-    each range. `z0`: height of the camera, metres. `bend`: curvature coefficient of rays."""
+class Rays(NamedTuple):
+    """Terrain and a mark along rays. `heights`, `levels`: (A, R), and `ranges`: (R,), of the `SightFan`. `knots`: (R,)
+    the knot of each range. `z0`: height of the camera, metres. `bend`: curvature coefficient of rays.
+
+    Of the mark, (A, J) each: density of the marked azimuth, mean and variance of the marked slope. Of the rasters of
+    the terrain, (L,): variance of heights, and metres beyond which their errors are independent (`apart`)."""
 
     heights: Float32Array
     levels: UInt8Array
@@ -128,28 +128,16 @@ class RayTerrain(NamedTuple):
     knots: Int64Array
     z0: float
     bend: float
-
-
-class RayMark(NamedTuple):
-    """Mark along rays, (A, J) each: density of the marked azimuth, mean and variance of the marked slope."""
-
     azimuth_density: Float64Array
     slope_mean: Float64Array
     slope_variance: Float64Array
-
-
-class HeightErrors(NamedTuple):
-    """Height errors by raster of the terrain, (L,): variance of heights, and distance in metres beyond which their
-    errors are independent."""
-
-    variance: Float64Array
+    height_variance: Float64Array
     apart: Float64Array
 
 
 class SmokeDensities(NamedTuple):
     """Densities of smoke, (A, R) each, filled by the loops: densities with the base `seen` and `hidden`, and these over
-    the sample's maximum; `unseen`: the probability that the terrain hides the base; `lifts`: metres above the ground
-    from which something is visible."""
+    the sample's maximum; `unseen`: chance of a hidden base; `lifts`: metres from which something is visible."""
 
     seen: Float64Array
     hidden: Float64Array
@@ -157,14 +145,3 @@ class SmokeDensities(NamedTuple):
     hidden_fit: Float32Array
     unseen: Float32Array
     lifts: Float32Array
-
-
-class Drifts(NamedTuple):
-    """Drifts of plumes. `widths`: (A,) of the fan. `density`: (D, A, J), and its maximum (D, J), of the marked azimuth
-    by drift. `lean`: sigma of the drift per metre of rise. `next_drift`: (D - 1,) start of the next drift."""
-
-    widths: Float64Array
-    density: Float64Array
-    peak: Float64Array
-    lean: float
-    next_drift: Float64Array

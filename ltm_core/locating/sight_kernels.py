@@ -12,37 +12,21 @@ import numpy as np
 
 from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array
-from ltm_core.locating.sight_fan import NO_LEVEL, Drifts, HeightErrors, RayMark, RayTerrain, SmokeDensities
+from ltm_core.locating.sight_fan import NO_LEVEL, Rays, SmokeDensities
 
-CRESTS = 6
-"""Maximum number of crests kept per ray: those that may be the highest."""
-_STRETCH = 0.01
-"""Share of the range within which errors of samples are fully correlated, however fine the raster is."""
-_SPARSE = 4
-"""Interval at which the visibility probability is computed among samples whose visibility is uncertain."""
-FOREGROUND = 15.0
-"""Metres of foreground."""
-_SURE = 3.5
-"""Number of sigmas from which one slope is higher than another."""
-_UPPER = 2.0
-"""Number of sigmas added to a height when the highest of several correlated samples represents them; close to the
-camera, a low sample may hide the most."""
+CRESTS = 6  # maximum number of crests kept per ray: those that may be the highest
+_STRETCH = 0.01  # share of the range within which errors of samples are fully correlated, however fine the raster is
+_SPARSE = 4  # interval at which the visibility probability is computed among samples whose visibility is uncertain
+FOREGROUND = 15.0  # metres of foreground
+_SURE = 3.5  # number of sigmas from which one slope is higher than another
+_UPPER = 2.0  # sigmas added to a height when the highest of several correlated samples represents them
 ROOT_2PI = math.sqrt(2 * math.pi)
 
 
 @kernel(nogil=True)
-def ground_along(
-    terrain: RayTerrain,
-    mark: RayMark,
-    height_variance: Float64Array,
-    density: Float64Array,
-    fit: Float32Array,
-    lifts: Float32Array,
-) -> None:
-    """Compute densities of an object on the ground: where the terrain model hides it slightly, with the probability
-    that the model errs."""
-    heights, levels, ranges, knots, z0, bend = terrain
-    azimuth_density, slope_mean, slope_variance = mark
+def ground_along(rays: Rays, density: Float64Array, fit: Float32Array, lifts: Float32Array) -> None:
+    """Compute densities of an object on the ground; if it is slightly hidden, by the chance that the model errs."""
+    heights, levels, ranges, knots, z0, bend, azimuth_density, slope_mean, slope_variance, height_variance, _ = rays
     for a in range(heights.shape[0]):
         top, top_k, before = -np.inf, 0, np.nan
         for k in range(heights.shape[1]):
@@ -71,13 +55,10 @@ def ground_along(
 
 
 @kernel(nogil=True)
-def smoke_along(terrain: RayTerrain, mark: RayMark, errors: HeightErrors, rise: float, found: SmokeDensities) -> None:
+def smoke_along(rays: Rays, rise: float, found: SmokeDensities) -> None:
     """Compute densities of the marked slope with the base `seen` and `hidden`, without drift; `unseen`: the probability
-    that the terrain hides the base. (A, R) each; the densities only at possible azimuths, `unseen` only where the mark
-    is higher above the base than `rise`, a slope."""
-    heights, levels, ranges, knots, z0, bend = terrain
-    azimuth_density, slope_mean, slope_variance = mark
-    height_variance, apart = errors
+    that the terrain hides the base. (A, R) each; `unseen` only where the mark is higher than `rise`, a slope."""
+    heights, levels, ranges, knots, z0, bend, azimuth_density, slope_mean, slope_variance, height_variance, apart = rays
     seen, hidden, seen_fit, hidden_fit, unseen, lifts = found
     mu, var, knot = np.empty(CRESTS), np.empty(CRESTS), np.empty(CRESTS, np.int64)
     far, far_fit, at, left = np.empty(CRESTS), np.empty(CRESTS), np.empty(CRESTS), np.empty(CRESTS)
@@ -252,18 +233,29 @@ def mean_density(first: float, last: float) -> float:
     return float(math.exp(-0.125 * (first + last) ** 2) / ROOT_2PI)
 
 
-_REACH = 2.5
-"""Number of sigmas of drift within which neighbouring azimuths count."""
+_REACH = 2.5  # number of sigmas of drift within which neighbouring azimuths count
 _NEIGHBOURS = 9
 
 
 @kernel(nogil=True)
-def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: SmokeDensities) -> None:
+def add_drifted(
+    rays: Rays,
+    widths: Float64Array,
+    azimuth_density: Float64Array,
+    lean: float,
+    next_drift: Float64Array,
+    found: SmokeDensities,
+) -> None:
     """Convert densities of the slope to densities of the direction, in place. Smoke with a hidden base appears at the
-    marked azimuths, wherever the base is: over these its slope's density is averaged, range by range."""
-    heights, levels, ranges, knots, z0, bend = terrain
-    widths, azimuth_density, azimuth_peak, lean, next_drift = drifting
-    slope_mean = mark.slope_mean
+    marked azimuths, wherever the base is: over these its slope's density is averaged, range by range.
+
+    `widths`: (A,) of the fan. `azimuth_density`: (D, A, J) of the marked azimuth by drift. `lean`: sigma of the drift
+    per metre of rise. `next_drift`: (D - 1,) start of the next drift."""
+    heights, levels, ranges, knots, z0, bend, _, slope_mean, _, _, _ = rays
+    azimuth_peak = np.empty((azimuth_density.shape[0], azimuth_density.shape[2]))
+    for d in range(azimuth_density.shape[0]):
+        for j in range(azimuth_density.shape[2]):
+            azimuth_peak[d, j] = azimuth_density[d, :, j].max()
     density, hidden, fit, hidden_fit, unseen, lifts = found
     over, over_fit, marked = np.zeros(len(ranges)), np.zeros(len(ranges)), np.zeros(len(ranges))
     for a in range(heights.shape[0]):
@@ -299,11 +291,9 @@ def add_drifted(terrain: RayTerrain, mark: RayMark, drifting: Drifts, found: Smo
 
 
 @kernel(nogil=True)
-def add_smeared(terrain: RayTerrain, mark: RayMark, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
-    """Add to the slope's density at a visible base that at a hidden one, averaged over the azimuths to which a plume
-    may have drifted; evenly spaced azimuths."""
-    heights, levels, ranges, knots, z0, bend = terrain
-    slope_mean = mark.slope_mean
+def add_smeared(rays: Rays, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
+    """Add the density at a hidden base, averaged over the azimuths of drift, which are evenly spaced."""
+    heights, levels, ranges, knots, z0, bend, _, slope_mean, _, _, _ = rays
     density, hidden, fit, hidden_fit = found.seen, found.hidden, found.seen_fit, found.hidden_fit
     count = len(azimuths)
     spacing = (azimuths[-1] - azimuths[0]) / (count - 1)

@@ -27,21 +27,14 @@ from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import SightFan, sight_fan
 from ltm_core.raster.dem import Dem
 
-Bounds = tuple[float, float, float, float]
-"""Bounds x_min, y_min, x_max, y_max in metres."""
+Bounds = tuple[float, float, float, float]  # bounds x_min, y_min, x_max, y_max in metres
 
-IMPOSSIBLE = math.exp(-15.0)
-"""Misfit above which a place does not explain a mark."""
-_SIGMAS = 5.0
-"""Number of sigmas of the azimuth that a fan covers."""
-_FIRST, _MOST = 40, 120
-"""Initial number of azimuths of a fan, and the maximum after refinement."""
-_WING, _WINGS = math.radians(3.0), 12
-"""Width that a fan adds on either side for drifting plumes, and its number of azimuths there."""
-_CREST = 16
-"""Number of azimuths above the mark in every smoke fan, where the plume rises wherever its base is."""
-_PER_CELL = 1.5
-"""Number of samples per cell side; with fewer, some cells get none."""
+IMPOSSIBLE = math.exp(-15.0)  # misfit above which a place does not explain a mark
+_SIGMAS = 5.0  # number of sigmas of the azimuth that a fan covers
+_FIRST, _MOST = 40, 120  # initial number of azimuths of a fan, and the maximum after refinement
+_WING, _WINGS = math.radians(3.0), 12  # width and azimuths that a fan adds at each side for drifting plumes
+_CREST = 16  # number of azimuths above the mark in every smoke fan, where the plume rises wherever its base is
+_PER_CELL = 1.5  # number of samples per cell side; with fewer, some cells get none
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +85,8 @@ class LocatingTerrain:
         clearance = z - float(self.dem.elevation_at(x, y))
         if clearance <= 0:
             raise PoseError(f"camera {sighting.name} is {-clearance:.2f} m under the ground; check its height")
-        directions = marked_directions(
-            sighting.mark, sighting.camera, sighting.pose, covariance, self.config.focal_sigma
-        )
+        focal, pose = self.config.focal_sigma, sighting.pose
+        directions = marked_directions(sighting.mark, sighting.camera, pose, covariance, focal)
         reach = _SIGMAS * directions.azimuth_sigma
         azimuths = np.linspace(directions.azimuth.min() - reach, directions.azimuth.max() + reach, _FIRST)
         if self._drifts:
@@ -106,41 +98,30 @@ class LocatingTerrain:
         self._check(sight)
         return sight
 
-    def look_closer(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """Return the same sighting over a part of the map, sampled for cells of a resolution as far as feasible."""
-        azimuths = sight.fan.azimuths
-        low, high = _azimuths_of(sight.position, bounds, float(azimuths.mean()))
-        low, high = max(low, float(azimuths[0])), min(high, float(azimuths[-1]))
+    def look_closer(self, sight: Sight, bounds: Bounds, resolution: float, turned: bool = False) -> Sight:
+        """Return the sighting over a part of the map for cells of a resolution; `turned`: by an unknown angle."""
+        marked, azimuths = sight.directions.azimuth, sight.fan.azimuths
+        around = float(marked @ sight.directions.weights) if turned else float(azimuths.mean())
+        first, last = (around - MOST_TURNED, around + MOST_TURNED) if turned else (azimuths[0], azimuths[-1])
+        low, high = _azimuths_of(sight.position, bounds, around)
+        low, high = max(low, float(first)), min(high, float(last))
         if high <= low:
-            low, high = float(azimuths[0]), float(azimuths[-1])
+            low, high = float(first), float(last)
         near, far = ranges_of(sight.position, bounds)
         far = min(far, float(sight.fan.ranges[-1]))
         count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
         inside = np.linspace(low, high, count)
-        if self._drifts:
+        if self._drifts and not turned:
             reach = 2 * sight.directions.azimuth_sigma
-            marked = sight.directions.azimuth
             inside = np.union1d(inside, np.linspace(marked.min() - reach, marked.max() + reach, _CREST))
         fan = sight_fan(self.dem, sight.position, inside, max(far, 10.0), (near, far, resolution / _PER_CELL))
+        spacing = (high - low) / (count - 1) * far
+        if turned:
+            likelihood = self._likelihood(sight.sighting, fan, turned_table(sight.directions, inside), turned)
+            return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * spacing)
         within = fan.steps[(fan.ranges >= near) & (fan.ranges <= far)][1:]  # the first is a step from before
-        spacing = max((high - low) / (count - 1) * far, float(within.max(initial=0.0)))
-        return self._sight(sight.sighting, sight.directions, fan, _PER_CELL * spacing)
-
-    def look_turned(self, sight: Sight, bounds: Bounds, resolution: float) -> Sight:
-        """Return the sighting as in `look_closer` for a camera turned by an unknown angle."""
-        around = float(sight.directions.azimuth @ sight.directions.weights)
-        low, high = _azimuths_of(sight.position, bounds, around)
-        low, high = max(low, around - MOST_TURNED), min(high, around + MOST_TURNED)
-        if high <= low:
-            low, high = around - MOST_TURNED, around + MOST_TURNED
-        near, far = ranges_of(sight.position, bounds)
-        far = min(far, float(sight.fan.ranges[-1]))
-        count = int(np.clip(math.ceil(_PER_CELL * (high - low) * far / resolution) + 1, 16, _MOST))
-        azimuths = np.linspace(low, high, count)
-        fan = sight_fan(self.dem, sight.position, azimuths, max(far, 10.0), (near, far, resolution / _PER_CELL))
-        table = turned_table(sight.directions, azimuths)
-        likelihood = self._likelihood(sight.sighting, fan, table, turned=True)
-        return replace(sight, fan=fan, likelihood=likelihood, cell=_PER_CELL * (high - low) / (count - 1) * far)
+        cell = _PER_CELL * max(spacing, float(within.max(initial=0.0)))
+        return self._sight(sight.sighting, sight.directions, fan, cell)
 
     def chance(self, lift: Float64Array | Float32Array) -> Float64Array:
         """Return the probability that a plume is higher."""
@@ -195,9 +176,7 @@ class LocatingTerrain:
             )
         near = fan.ranges < self.config.min_range
         if marked < lowest or (near.any() and marked < float(np.nanmax(slopes[:, near], initial=-np.inf))):
-            raise RegionError(
-                f"{name}: the mark is on ground nearer than {self.config.min_range:g} m, too near to be located"
-            )
+            raise RegionError(f"{name}: the mark is nearer than {self.config.min_range:g} m, too near to be located")
         raise RegionError(f"{name}: the mark is on unknown terrain (a hole or the edge of the DEM)")
 
 

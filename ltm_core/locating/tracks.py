@@ -18,8 +18,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.locating.locator import Location, Locator
 from ltm_core.locating.sighting import Sighting
 
-MOST = 200
-"""Maximum number of poses kept; the least recently received one is dropped first."""
+MOST = 200  # maximum number of poses kept; the least recently received one is dropped first
 
 
 class KnownPoses:
@@ -48,15 +47,11 @@ class KnownPoses:
 
     def at(self, stamp: int, age_ns: int) -> tuple[Pose, Float64Array] | None:
         """Return the pose of a stamp, or the last before it; None if none is known then, or within `age_ns` before."""
-        earlier = [known for known in self._poses if known <= stamp]
-        if not earlier or stamp - max(earlier) > age_ns:
-            return None
-        return self._poses[max(earlier)]
+        last = max((known for known in self._poses if known <= stamp), default=None)
+        return None if last is None or stamp - last > age_ns else self._poses[last]
 
 
-NEARBY_DEG = 4.0
-"""Maximum angle in degrees between a sighting's azimuth and a track's place for both to be the same fire if a camera is
-wrong."""
+NEARBY_DEG = 4.0  # maximum angle between a sighting and a track for both to be one fire if a camera is wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +91,9 @@ class Track:
 
 @dataclass
 class Tracks:
-    """The tracks of a site.
-
-    `smoke`: smoke is marked. `lifetime_ns`: after which a track without a new sighting ends. `most`: maximum number of
-    tracks, the most recently seen. `of_a_camera`: maximum number of sightings of one camera in a track, the newest."""
+    """The tracks of a site. `smoke`: smoke is marked. `lifetime_ns`: after which a track without a new sighting ends.
+    `most`: maximum number of tracks, the most recently seen. `of_a_camera`: maximum number of sightings of one camera
+    in a track, the newest."""
 
     locator: Locator
     smoke: bool = True
@@ -123,11 +117,12 @@ class Tracks:
                 location = self.locator.locate([each.sighting for each in together], self.smoke)
             except RegionError:
                 continue
-            if _agree(location, self.locator.limit):
+            agreement = location.agreement
+            if location.misfit <= self.locator.limit if agreement is None else agreement.agree:
                 if best is None or location.misfit < best[0]:
                     best = (location.misfit, track, location)
-            elif location.agreement is not None:
-                disputes.append((track, frozenset(location.agreement.suspicion)))
+            elif agreement is not None:
+                disputes.append((track, frozenset(agreement.suspicion)))
         if best is not None:
             _, track, location = best
             track.sightings, track.location = self._kept([*track.sightings, seen]), location
@@ -146,20 +141,11 @@ class Tracks:
 
     def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:
         """Return the newest of each camera."""
-        ordered = sorted(sightings, key=lambda each: each.stamp_ns)
         kept: list[SeenAt] = []
-        counts: dict[str, int] = {}
-        for seen in reversed(ordered):
-            name = seen.sighting.name
-            counts[name] = counts.get(name, 0) + 1
-            if counts[name] <= self.of_a_camera:
+        for seen in sorted(sightings, key=lambda each: -each.stamp_ns):
+            if sum(other.sighting.name == seen.sighting.name for other in kept) < self.of_a_camera:
                 kept.append(seen)
         return kept[::-1]
-
-
-def _agree(location: Location, limit: float) -> bool:
-    """`limit`: of the misfit of one camera's sightings."""
-    return location.misfit <= limit if location.agreement is None else location.agreement.agree
 
 
 def _nearby(sighting: Sighting, track: Track, alone: Location) -> bool:

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.base.types import BoolArray, Float32Array, RgbImage
-from ltm_core.fire.effect import FireEffect, FireRun, FireScenario, Wind
+from ltm_core.base.types import BoolArray, RgbImage
+from ltm_core.fire.effect import FireEffect, FireScenario
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.pictures.fuel_maps import FuelCanvas, Scale, bare_map
@@ -25,10 +25,8 @@ FLAME: Final = Scale(
     ((255, 232, 150), (250, 160, 60), (214, 47, 39), (92, 0, 22)),
     (1.2, 2.4, 3.4),
 )  # fmt: skip
-"""Flame length limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and
-darker."""
-_SOON: Final = 5 / 60
-"""Hours within which two arrivals count as equal; the model's steps are minutes."""
+"""Limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and darker."""
+_SOON: Final = 5 / 60  # hours within which two arrivals count as equal; the model's steps are minutes
 DIFFERENCE: Final = Scale(
     (
         "burns only with the updated map", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",
@@ -78,22 +76,20 @@ def terrain_of(landscape: Landscape) -> Dem:
 def fire_sheet(effect: FireEffect, landscape: Landscape, scenario: FireScenario, heading: str = "") -> RgbImage:
     """Return the arrival and flame length before and after, and their differences, each with the ignition and an arrow
     in the wind's direction; cells whose fuel or canopy has changed are outlined."""
-    canvas = _FireCanvas.of(effect, landscape, scenario)
+    canvas = _FireCanvas(effect, landscape, scenario)
     arrival = arrival_scale(effect.hours)
     values, known = difference_classes(effect)
     was, now = effect.before, effect.after
-    both = _flames(was) & _flames(now)
+    flames_were, flames_are = (run.burned & (run.flame > 0) for run in (was, now))
+    changed = effect.flame_difference(), flames_were & flames_are
+    updated = "Fire arrival time with the updated map. Outlined: cells whose fuel or canopy changed."
     maps = {
-        "Fire arrival time with the previous map": _drawn(canvas, was.arrival, was.burned, arrival, effect),
-        "Fire arrival time with the updated map. Outlined: cells whose fuel or canopy changed.": _drawn(
-            canvas, now.arrival, now.burned, arrival, effect
-        ),
-        "Flame length with the previous map": _drawn(canvas, was.flame, _flames(was), FLAME, effect),
-        "Flame length with the updated map": _drawn(canvas, now.flame, _flames(now), FLAME, effect),
-        "Change of the arrival time by the update": _drawn(canvas, values, known, DIFFERENCE, effect),
-        "Change of the flame length, where both burn": _drawn(
-            canvas, effect.flame_difference(), both, FLAME_DIFFERENCE, effect
-        ),
+        "Fire arrival time with the previous map": canvas.drawn(was.arrival, was.burned, arrival),
+        updated: canvas.drawn(now.arrival, now.burned, arrival),
+        "Flame length with the previous map": canvas.drawn(was.flame, flames_were, FLAME),
+        "Flame length with the updated map": canvas.drawn(now.flame, flames_are, FLAME),
+        "Change of the arrival time by the update": canvas.drawn(values, known, DIFFERENCE),
+        "Change of the flame length, where both burn": canvas.drawn(*changed, FLAME_DIFFERENCE),
     }
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1], heading=heading)
 
@@ -107,38 +103,26 @@ def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage,
     return picture, label_legend(520, arrival)
 
 
-def _flames(run: FireRun) -> BoolArray:
-    return run.burned & (run.flame > 0)
-
-
 class _FireCanvas(FuelCanvas):
     """Draws the wind under the north arrow."""
 
-    wind: Wind
-
-    @classmethod
-    def of(cls, effect: FireEffect, landscape: Landscape, scenario: FireScenario) -> _FireCanvas:
-        g = landscape.geometry
+    def __init__(self, effect: FireEffect, landscape: Landscape, scenario: FireScenario) -> None:
+        g, self._wind = landscape.geometry, scenario.wind
+        self._changed = effect.changed if effect.changed.mean() < 0.5 else None
         x, y = (float(v) for v in g.to_map(scenario.row, scenario.col))
         bounds = interesting_bounds(effect.before.burned | effect.after.burned, g, (), g)
-        canvas = cls(g, terrain_of(landscape), [MapCamera("ignition", None, (x, y))], bounds, about=g.crs or "")
-        canvas.wind = scenario.wind
-        return canvas
+        super().__init__(g, terrain_of(landscape), [MapCamera("ignition", None, (x, y))], bounds, about=g.crs or "")
+
+    def drawn(self, values: NDArray[np.floating], known: BoolArray, scale: Scale) -> RgbImage:
+        """Return a map of the known values, changed cells outlined, with its scale."""
+        return self.finished(self.map(label_colors(scale.classes(values, known), scale), known, self._changed), scale)
 
     def _framed(self, picture: RgbImage, names: Sequence[Text]) -> RgbImage:
-        reach, towards = 0.035 * self.view.width, math.radians(self.wind.direction + 180)
+        reach, towards = 0.035 * self.view.width, math.radians(self._wind.direction + 180)
         x, y = self.view.width - 2.5 * reach, 5.5 * reach
         step = reach * math.sin(towards), -reach * math.cos(towards)
         ends = [(round(x + sign * step[0]), round(y + sign * step[1])) for sign in (-1, 1)]
         for color, width in ((PAPER, 6), (INK, 3)):
             cv2.arrowedLine(picture, ends[0], ends[1], color, width, cv2.LINE_AA, tipLength=0.35)
-        label: Text = (f"wind {self.wind.speed:g} m/s", x, y + 1.3 * reach, "mt")
+        label: Text = (f"wind {self._wind.speed:g} m/s", x, y + 1.3 * reach, "mt")
         return super()._framed(draw_texts(picture, [label], 14, INK, PAPER), names)
-
-
-def _drawn(
-    canvas: _FireCanvas, values: Float32Array | NDArray[np.floating], known: BoolArray, scale: Scale, effect: FireEffect
-) -> RgbImage:
-    outlined = effect.changed if effect.changed.mean() < 0.5 else None
-    picture = canvas.map(label_colors(scale.classes(values, known), scale), known, outlined)
-    return canvas.finished(picture, scale)

@@ -21,20 +21,25 @@ from ltm_core.fuel.codes import code_colors, code_names, fuel_models
 from ltm_core.fuel.decision import FuelLayers, changed_cells
 from ltm_core.fuel.life_form import NODATA, LifeForm
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, label_legend, text_width
-from ltm_core.pictures.maps import MapCamera, draw_outline, finished, furnished, interesting_bounds, relief, view_of
+from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, color_map, label_legend, text_width
+from ltm_core.pictures.maps import (
+    MapCamera,
+    cells_under,
+    draw_outline,
+    finished,
+    furnished,
+    interesting_bounds,
+    relief,
+    view_of,
+)
 from ltm_core.pictures.photo_overlays import label_colors, panel, with_axes
 from ltm_core.raster.dem import Dem
 
 _UNKNOWN: Final = (235, 235, 232)
 _OPACITY: Final = 0.82
-_NAME_SIZE: Final = 11
-"""Height in pixels of fuel models' names on a map."""
-_NAMES: Final = 8
-"""Maximum number of names of one fuel model on a map."""
-_SURE: Final = 0.25
-_NO_MORE: Final = 0.85
-"""Entropies at which a life form's colour is full and palest."""
+_NAME_SIZE: Final = 11  # height in pixels of fuel models' names on a map
+_NAMES: Final = 8  # maximum number of names of one fuel model on a map
+_SURE, _NO_MORE = 0.25, 0.85  # entropies at which a life form's colour is full and palest
 
 
 @dataclass(frozen=True)
@@ -46,15 +51,12 @@ class Scale(Palette):
     @classmethod
     def of(cls, names: Sequence[str], bounds: Sequence[float], colormap: int, upwards: bool = True) -> Scale:
         """Return the colours evenly from a colour map of OpenCV's, dark to bright or the other way."""
-        ramp = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[None], colormap)[0, :, ::-1]
-        places = np.linspace(12, 250, len(names)).astype(int)
-        chosen = ramp[places if upwards else places[::-1]]
-        return cls(tuple(names), tuple((int(r), int(g), int(b)) for r, g, b in chosen), tuple(bounds))
+        colors = color_map(colormap)[np.linspace(12, 250, len(names)).astype(int)].tolist()
+        return cls(tuple(names), tuple(map(tuple, colors if upwards else colors[::-1])), tuple(bounds))
 
     def classes(self, values: NDArray[Any], known: BoolArray) -> UInt8Array:
         """Return (H, W) classes, UNLABELLED where not known."""
-        index = np.digitize(np.nan_to_num(values), self.bounds)
-        return np.where(known, index, UNLABELLED).astype(np.uint8)
+        return np.where(known, np.digitize(np.nan_to_num(values), self.bounds), UNLABELLED).astype(np.uint8)
 
 
 DOUBT: Final = Scale.of(
@@ -63,9 +65,8 @@ DOUBT: Final = Scale.of(
     cv2.COLORMAP_CIVIDIS,
 )
 """Share of the maximum entropy of a cell's life forms: 0 certain, 1 unknown."""
-FRAMES: Final = Scale.of(
-    ("1", "2 to 3", "4 to 7", "8 to 15", "16 to 63", "64 and more"), (2, 4, 8, 16, 64), cv2.COLORMAP_VIRIDIS
-)
+_SEEN = ("1", "2 to 3", "4 to 7", "8 to 15", "16 to 63", "64 and more")
+FRAMES: Final = Scale.of(_SEEN, (2, 4, 8, 16, 64), cv2.COLORMAP_VIRIDIS)
 CAMERAS: Final = Scale.of(("1 camera", "2", "3", "4 to 7", "8 and more"), (2, 3, 4, 8), cv2.COLORMAP_VIRIDIS)
 FOOTPRINT: Final = Scale.of(
     ("below 2 m", "2 to 5 m", "5 to 10 m", "10 to 20 m", "20 to 30 m", "30 m and more"),
@@ -102,16 +103,12 @@ class FuelCanvas:
         self._cameras, self._offset, self._about, self._cell = cameras, offset, about, geometry.resolution
         self._shape = geometry.shape
         self._relief = relief(dem, self.view)
-        x, y = (self.view.to_map(0, np.arange(self.view.width))[0], self.view.to_map(np.arange(self.view.height), 0)[1])
-        row, col = geometry.cell_of(x[None, :], y[:, None])
-        self._inside = np.asarray(geometry.contains(row, col))
-        self._row, self._col = np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)
+        self._row, self._col, self._inside = cells_under(geometry, self.view)
 
     def map(
         self, colors: RgbImage, known: BoolArray, outlined: BoolArray | None = None, names: Sequence[Text] = ()
     ) -> RgbImage:
-        """Return the colours (H, W, 3) of the known cells over relief, others bare; with outlines, names, cameras,
-        north and axes. Raises RasterError for another shape."""
+        """Return the colours (H, W, 3) of the known cells over relief, with all that a map has. Raises RasterError."""
         if known.shape != self._shape:
             raise RasterError(f"cells of shape {known.shape} do not fit a raster of {self._shape}")
         shown = self._inside & known[self._row, self._col]
@@ -188,16 +185,14 @@ def faded(layers: FuelLayers, palette: ClassPalette) -> RgbImage:
 
 
 def overlay_picture(layers: FuelLayers, heights: NDArray[np.floating], cell: float, palette: ClassPalette) -> RgbImage:
-    """Return (n H, n W, 3): the map alone, for laying over others: life forms over relief from `heights` (H, W) of its
-    cells, changed cells outlined."""
+    """Return (n H, n W, 3): the map alone, for laying over others: life forms over relief, changes outlined."""
     return bare_map(faded(layers, palette), np.ones(heights.shape, np.bool_), heights, cell, layers.changed)
 
 
 def bare_map(
     colors: RgbImage, shown: BoolArray, heights: NDArray[np.floating], cell: float, outlined: BoolArray
 ) -> RgbImage:
-    """Return (n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W), with outlines
-    alone."""
+    """Return (n H, n W, 3): colours (H, W, 3) where they are `shown` over relief from heights (H, W)."""
     from scipy import ndimage  # here, for the live pictures do without it, and it takes a fifth of a second to load
 
     finer = 4
@@ -225,12 +220,9 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette, he
         "Surface fuel model. Outlined: changed cells.": canvas.codes(layers.code, layers.changed),
     }
     if known.any() or seen.any():
-        maps |= {
-            "Uncertainty of the life form: entropy, 0 certain to 1 unknown": canvas.scaled(
-                layers.entropy, known, DOUBT
-            ),
-            "Number of cameras that see a cell": canvas.scaled(layers.seen_by, seen, CAMERAS),
-        }
+        doubt = canvas.scaled(layers.entropy, known, DOUBT)
+        maps["Uncertainty of the life form: entropy, 0 certain to 1 unknown"] = doubt
+        maps["Number of cameras that see a cell"] = canvas.scaled(layers.seen_by, seen, CAMERAS)
     return _sheet(maps, heading)
 
 
@@ -248,28 +240,23 @@ def change_sheet(
     then, now = names
     stayed = (before.code == after.code) & (before.life_form != UNLABELLED)
     forms = np.where(stayed, after.life_form, before.life_form)
-    return _sheet(
-        {
-            f"Life form: {then}": canvas.classes(forms, palette, changed),
-            f"Life form: {now}. Outlined: {counted(int(changed.sum()), 'changed cell')}.": canvas.classes(
-                after.life_form, palette, changed
-            ),
-            f"Fuel model: {then}": canvas.codes(before.code, changed),
-            f"Fuel model: {now}": canvas.codes(after.code, changed),
-        },
-        heading,
-    )
+    outlined = f"Outlined: {counted(int(changed.sum()), 'changed cell')}."
+    maps = {
+        f"Life form: {then}": canvas.classes(forms, palette, changed),
+        f"Life form: {now}. {outlined}": canvas.classes(after.life_form, palette, changed),
+        f"Fuel model: {then}": canvas.codes(before.code, changed),
+        f"Fuel model: {now}": canvas.codes(after.code, changed),
+    }
+    return _sheet(maps, heading)
 
 
 def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "") -> RgbImage:
-    """Draw, for each camera, how many frames saw each cell, and the smallest ground footprint of a pixel. Raises
-    ImageError if no camera has seen anything."""
+    """Draw, for each camera, how many frames saw each cell, and the smallest footprint. Raises ImageError."""
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
         hectares = (seen.frames > 0).sum() * coverage.geometry.resolution**2 / 1e4
-        maps[f"{name}: number of frames that saw a cell, {number(hectares)} ha in all"] = canvas.scaled(
-            seen.frames, seen.frames > 0, FRAMES
-        )
+        title = f"{name}: number of frames that saw a cell, {number(hectares)} ha in all"
+        maps[title] = canvas.scaled(seen.frames, seen.frames > 0, FRAMES)
         known = np.isfinite(seen.footprint)
         maps[f"{name}: smallest ground footprint of a pixel"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
     return _sheet(maps, heading)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
 from ltm_core.base.errors import ImageError
-from ltm_core.base.types import Float32Array, Float64Array, RgbImage
+from ltm_core.base.types import Float32Array, RgbImage
 
 UNLABELLED = 255
 
@@ -38,6 +38,8 @@ class Palette:
 
 
 Anchor = Literal["lt", "mt", "rt", "lm", "mm", "rm", "lb", "mb", "rb"]
+Text = tuple[str, float, float, Anchor]  # a text, the pixel (x, y) of its anchor, and which of its points that is
+Color = tuple[int, int, int]
 
 
 @lru_cache(maxsize=32)
@@ -51,53 +53,30 @@ def text_width(text: str, size: float) -> int:
 
 
 def draw_texts(
-    picture: RgbImage,
-    texts: list[tuple[str, float, float, Anchor]],
-    size: float,
-    color: tuple[int, int, int],
-    halo: tuple[int, int, int] | None = None,
+    picture: RgbImage, texts: Sequence[Text], size: float, color: Color, halo: Color | None = None
 ) -> RgbImage:
-    """Return `picture` with each (text, x, y, anchor) written on it; `halo`: colour of an outline that keeps it
-    legible."""
+    """Return `picture` with each (text, x, y, anchor) written on it; `halo`: colour of a legible outline."""
     canvas = Image.fromarray(picture)
-    draw = ImageDraw.Draw(canvas)
+    draw, stroke = ImageDraw.Draw(canvas), max(1, round(size / 8)) if halo else 0
     for text, x, y, anchor in texts:
-        draw.text(
-            (x, y),
-            text,
-            fill=color,
-            font=font(size),
-            anchor=anchor,
-            stroke_width=max(1, round(size / 8)) if halo else 0,
-            stroke_fill=halo,
-        )
+        draw.text((x, y), text, color, font(size), anchor, stroke_width=stroke, stroke_fill=halo)
     return np.array(canvas, np.uint8)
-
-
-Text = tuple[str, float, float, Anchor]
-"""A text, the pixel (x, y) of its anchor, and which of its points that is."""
 
 
 def apart(texts: Sequence[Text], size: float, height: int) -> list[Text]:
     """Return the texts, each moved up or down by whole lines until it covers none before it, in `height` rows."""
-    line, boxes, placed = size * 1.3, list[tuple[float, float, float, float]](), []
+    line, boxes, placed = size * 1.3, list[tuple[float, float, float, float]](), list[Text]()
+
+    def free(left: float, top: float, right: float) -> bool:
+        beside = (left >= x1 or x0 >= right or top >= y1 or y0 >= top + line for x0, y0, x1, y1 in boxes)
+        return 0 <= top <= height - line and all(beside)
+
     for text, x, y, anchor in texts:
-        width = text_width(text, size)
+        width = text_width(text, size) if text else 0
         left = x - {"l": 0.0, "m": 0.5, "r": 1.0}[anchor[0]] * width
         top = y - {"t": 0.0, "m": 0.5, "b": 1.0}[anchor[1]] * line
-        moves = sorted(range(-12, 13), key=lambda k: (abs(k), -k))
-        free = (k * line for k in moves if text and 0 <= top + k * line <= height - line)
-        move = next(
-            (
-                m
-                for m in free
-                if not any(
-                    left < right and other < left + width and top + m < end and begin < top + m + line
-                    for other, begin, right, end in boxes
-                )
-            ),
-            0.0,
-        )
+        moves = (k * line for k in sorted(range(-12, 13), key=lambda k: (abs(k), -k)))
+        move = next((m for m in moves if text and free(left, top + m, left + width)), 0.0)
         if text:
             boxes.append((left, top + move, left + width, top + move + line))
         placed.append((text, x, y + move, anchor))
@@ -135,8 +114,7 @@ UNKNOWN_COLOR = (70, 70, 74)
 
 @dataclass(frozen=True)
 class RangeScale:
-    """The ranges, metres, at the two ends of the colour scale; values beyond an end take its colour. The default suits
-    a tower camera, and does not follow the image."""
+    """Ranges in metres at the two ends of the colour scale. The default suits a tower camera, and is fixed."""
 
     near: float = 30.0
     far: float = 30_000.0
@@ -147,45 +125,44 @@ class RangeScale:
 
     @classmethod
     def of(cls, ranges: ArrayLike) -> RangeScale:
-        """Return the scale from the 0.5th to the 99.5th percentile of the finite ranges, rounded outwards to 1, 2 or
-        5."""
+        """Return the scale of the 0.5th to 99.5th percentile of finite ranges, rounded outwards to 1, 2 or 5."""
         values = np.asarray(ranges)
         values = values[np.isfinite(values) & (values > 0)]
         if values.size == 0:
             return cls()
         low, high = np.percentile(values, [0.5, 99.5])
-        near = max(t for t in _one_two_five(low / 10, low) if t <= low)
-        far = min(t for t in _one_two_five(high, high * 10) if t >= high)
+        near = max(t for t in one_two_five(low / 10, low) if t <= low)
+        far = min(t for t in one_two_five(high, high * 10) if t >= high)
         return cls(near, far if far > near else near * 10)
 
     def fraction(self, ranges: ArrayLike) -> Float32Array:
-        """Return the place of each range on the scale, 0 near to 1 far; NaN where the range is not a finite positive
-        number."""
+        """Return the place of each range on the scale, 0 near to 1 far; NaN if it is not finite and positive."""
         values = np.asarray(ranges, np.float32)
         usable = np.isfinite(values) & (values > 0)
-        log = np.log(np.where(usable, values, 1.0))
-        span = math.log(self.far) - math.log(self.near)
-        placed = np.clip((log - math.log(self.near)) / span, 0.0, 1.0)
-        return np.where(usable, placed, np.nan).astype(np.float32)
+        placed = np.log(np.where(usable, values, self.near) / self.near) / math.log(self.far / self.near)
+        return np.where(usable, np.clip(placed, 0.0, 1.0), np.nan).astype(np.float32)
 
     def ticks(self) -> list[float]:
-        """Return the round ranges (1, 2, 5 times a power of ten) inside the scale, its ends included where they are
-        round."""
-        return [t for t in _one_two_five(self.near, self.far) if self.near <= t <= self.far]
+        """Return the round ranges (1, 2, 5 times a power of ten) inside the scale."""
+        return [t for t in one_two_five(self.near, self.far) if self.near <= t <= self.far]
 
 
-def _one_two_five(low: float, high: float) -> list[float]:
+def one_two_five(low: float, high: float) -> list[float]:
+    """Return 1, 2 and 5 times the powers of ten from about `low` to about `high`."""
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
     return [float(f"{digit}e{power}") for power in range(first, last + 1) for digit in (1, 2, 5)]
+
+
+def color_map(kind: int) -> RgbImage:
+    """Return the (256, 3) RGB colours of one of OpenCV's colour maps, dark to bright."""
+    ramp = np.arange(256, dtype=np.uint8)[:, None]
+    return np.asarray(cv2.applyColorMap(ramp, kind)[:, 0, ::-1], np.uint8)
 
 
 @lru_cache(maxsize=1)
 def scale_colors() -> RgbImage:
     """Return (256, 3) colours from near to far: viridis from bright to dark, in order for colour-blind eyes too."""
-    ramp = np.arange(255, -1, -1, dtype=np.uint8)[:, None]
-    colors = np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])
-    colors.flags.writeable = False
-    return np.asarray(colors, np.uint8)
+    return color_map(cv2.COLORMAP_VIRIDIS)[::-1]
 
 
 def depth_colors(ranges: ArrayLike, scale: RangeScale | None = None) -> RgbImage:
@@ -200,14 +177,12 @@ def depth_colors(ranges: ArrayLike, scale: RangeScale | None = None) -> RgbImage
     return colors
 
 
-Color = tuple[int, int, int]
 PAPER = (250, 250, 249)
 INK = (38, 40, 44)
 
 
 def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) -> RgbImage:
-    """Return the colour scale with its round ranges, (h, `width`, 3); with `sky` also the colours of what has no
-    range."""
+    """Return the colour scale with its round ranges, (h, `width`, 3); `sky`: also the colours without a range."""
     scale = scale or RangeScale()
     ticks = [(metres(tick), float(scale.fraction(tick))) for tick in scale.ticks()]
     others = [("unknown", UNKNOWN_COLOR), ("sky", SKY_COLOR)] if sky else []
@@ -217,8 +192,7 @@ def range_legend(width: int, scale: RangeScale | None = None, sky: bool = True) 
 def ramp_legend(
     width: int, ramp: RgbImage, ticks: Sequence[tuple[str, float]], others: Sequence[tuple[str, Color]] = ()
 ) -> RgbImage:
-    """Return a strip (h, `width`, 3) with the colours `ramp` (256, 3), its `ticks` (name, where between 0 and 1), and
-    the colours of what is not on the scale."""
+    """Return a strip (h, `width`, 3): colours `ramp` (256, 3), `ticks` (name, 0 to 1), and what is not on it."""
     size = _text_size(width)
     height, bar = round(size * 3.4), round(size * 1.1)
     strip = _paper(height, width)
@@ -228,49 +202,45 @@ def ramp_legend(
     top = round(size * 0.5)
     shown = ramp[np.linspace(0, 255, max(right - left, 2)).round().astype(int)]
     strip[top : top + bar, left : left + len(shown)] = shown
-    texts: list[tuple[str, float, float]] = []
-    end = -float("inf")
+    texts: list[Text] = []
+    end = -math.inf
     for tick, place in ticks:
         x = left + place * (right - left)
         cv2.line(strip, (round(x), top + bar), (round(x), top + bar + size // 3), INK, 1)
         half = text_width(tick, size) / 2
         if x - half > end + size * 0.5 and x + half < right + size * 1.7:
-            texts.append((tick, x, top + bar + size * 0.5))
+            texts.append((tick, x, top + bar + size * 0.5, "mt"))
             end = x + half
     x = right + 2 * size
     for (name, color), other in zip(others, widths, strict=True):
         strip[top : top + bar, x : x + other] = color
         cv2.rectangle(strip, (x, top), (x + other, top + bar - 1), INK, 1)
-        texts.append((name, x + other / 2, top + bar + size * 0.5))
+        texts.append((name, x + other / 2, top + bar + size * 0.5, "mt"))
         x += other + size
-    return draw_texts(strip, [(text, x, y, "mt") for text, x, y in texts], size, INK)
+    return draw_texts(strip, texts, size, INK)
 
 
 def label_legend(width: int, label_set: ClassPalette, ids: Iterable[int] | None = None) -> RgbImage:
-    """Return a swatch and name for each class in `ids` (default: all), in as many rows as the width asks, (h, `width`,
-    3)."""
-    shown = sorted(set(ids)) if ids is not None else range(len(label_set.names))
+    """Return a swatch and name for each class in `ids` (default: all), in rows as needed, (h, `width`, 3)."""
+    shown = range(len(label_set.names)) if ids is None else sorted(set(ids) & set(range(len(label_set.names))))
     size = _text_size(width)
     swatch, row_height = round(size * 1.1), round(size * 1.9)
     places: list[tuple[int, int, int]] = []
-    x, row = size, 0
+    x, y = size, size // 2
     for label in shown:
-        if not 0 <= label < len(label_set.names):
-            continue
-        step = swatch + round(size * 0.5) + text_width(str(label_set.names[label]), size) + round(size * 1.4)
+        step = swatch + round(size * 1.9) + text_width(str(label_set.names[label]), size)
         if x + step > width and x > size:
-            x, row = size, row + 1
-        places.append((label, x, row))
+            x, y = size, y + row_height
+        places.append((label, x, y))
         x += step
-    strip = _paper((row + 1) * row_height + size // 2, width)
-    texts: list[tuple[str, float, float]] = []
-    for label, x, row in places:
-        y = row * row_height + size // 2
+    strip = _paper(y + row_height, width)
+    texts: list[Text] = []
+    for label, x, y in places:
         color = tuple(int(c) for c in np.asarray(label_set.colors[label]))
-        cv2.rectangle(strip, (x, y), (x + swatch, y + swatch), color, -1)
-        cv2.rectangle(strip, (x, y), (x + swatch, y + swatch), INK, 1)
-        texts.append((str(label_set.names[label]), x + swatch + size * 0.5, y + swatch / 2))
-    return draw_texts(strip, [(text, x, y, "lm") for text, x, y in texts], size, INK)
+        for fill, line in ((color, -1), (INK, 1)):
+            cv2.rectangle(strip, (x, y), (x + swatch, y + swatch), fill, line)
+        texts.append((str(label_set.names[label]), x + swatch + size * 0.5, y + swatch / 2, "lm"))
+    return draw_texts(strip, texts, size, INK)
 
 
 def with_legend(picture: RgbImage, *legends: RgbImage) -> RgbImage:
@@ -286,19 +256,18 @@ def _paper(height: int, width: int) -> RgbImage:
     return np.full((height, width, 3), PAPER, np.uint8)
 
 
-SMALLEST, LARGEST = 0.3, 300.0
-"""Metres at the two ends of the scale."""
-_TICKS = (0.3, 1, 3, 10, 30, 100, 300)
 _UNKNOWN = (190, 192, 196)
 
 
 def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
     """Return |estimate - truth| (H, W) in metres as colours (H, W, 3): dark small, bright large; sky if both are sky,
     grey if only one has a depth."""
+    scale = RangeScale(0.3, 300.0)
     a, b = np.asarray(estimate, np.float32), np.asarray(truth, np.float32)
     known = np.isfinite(a) & np.isfinite(b)
     size = np.abs(np.where(known, a, 0) - np.where(known, b, 0))
-    colors = _ramp()[(255 * _place(size)).round().astype(np.uint8)].copy()
+    place = (255 * scale.fraction(np.maximum(size, scale.near))).round().astype(np.uint8)
+    colors = color_map(cv2.COLORMAP_INFERNO)[place]
     colors[~known] = _UNKNOWN
     colors[np.isposinf(a) & np.isposinf(b)] = SKY_COLOR
     return colors
@@ -306,15 +275,6 @@ def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
 
 def error_legend(width: int) -> RgbImage:
     """Return the colour scale with its ticks and what is not on it, (h, `width`, 3): as high as that of ranges."""
-    ticks = [(metres(tick), float(_place(np.float32(tick)))) for tick in _TICKS]
-    return ramp_legend(width, _ramp(), ticks, [("in one only", _UNKNOWN), ("sky", SKY_COLOR)])
-
-
-def _place(size: ArrayLike) -> Float64Array:
-    span = np.log(LARGEST / SMALLEST)
-    return np.asarray(np.clip(np.log(np.maximum(size, 1e-6) / SMALLEST) / span, 0, 1))
-
-
-def _ramp() -> RgbImage:
-    ramp = np.arange(256, dtype=np.uint8)[:, None]
-    return np.asarray(cv2.applyColorMap(ramp, cv2.COLORMAP_INFERNO)[:, 0, ::-1], np.uint8)
+    scale, ticks = RangeScale(0.3, 300.0), (0.3, 1, 3, 10, 30, 100, 300)
+    places = [(metres(tick), float(scale.fraction(tick))) for tick in ticks]
+    return ramp_legend(width, color_map(cv2.COLORMAP_INFERNO), places, [("in one only", _UNKNOWN), ("sky", SKY_COLOR)])

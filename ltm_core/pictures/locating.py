@@ -12,19 +12,17 @@ from ltm_core.base.types import Float64Array, RgbImage
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.locator import Ellipse, Posterior
 from ltm_core.pictures.legend import INK, PAPER, Text, apart, draw_texts, ramp_legend, with_legend
-from ltm_core.pictures.maps import MapCamera, finished, furnished, relief, view_of
+from ltm_core.pictures.maps import SHIFT, MapCamera, cells_under, finished, furnished, relief, view_of, view_pixels
 from ltm_core.pictures.photo_overlays import panel, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointState
 
 _WIDTH = 760
-_SHIFT = 4  # OpenCV draws at 1/16 pixel
-_LEAST_VIEW = 300.0
-"""Minimum width in metres of the detail map."""
-_ALIKE = 0.5
-"""Share of the whole map's width above which the detail map is left out."""
+_WHITE = (255, 255, 255)
+_LEAST_VIEW = 300.0  # minimum width in metres of the detail map
+_ALIKE = 0.5  # share of the whole map's width above which the detail map is left out
 _HEAT = np.array([[255, 238, 160], [253, 174, 72], [226, 74, 51], [128, 8, 60]], np.float64)
-_FIRST, _SECOND = (20, 60, 190), (20, 60, 190)
+_BLUE = (20, 60, 190)
 STATE_COLORS = {
     PointState.VISIBLE: (50, 120, 225),
     PointState.HIDDEN: (245, 150, 30),
@@ -44,9 +42,8 @@ def location_picture(
     """Return the cameras with their lines of sight and the posterior, and beside it the posterior closely unless that
     shows much the same, (H, W, 3); all in the map frame. `ellipses`: with their names, smallest first. `offset`: of the
     map frame, for the axes."""
-    close = _padded(
-        np.concatenate([posterior.places[posterior.densest(0.99)], ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW
-    )
+    dense = posterior.places[posterior.densest(0.99)]
+    close = _padded(np.concatenate([dense, ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW)
     places = [close[:2], close[2:], *(camera.position for camera in cameras)]
     whole = _padded(np.array(places), 0.08, _LEAST_VIEW)
     maps = [("Cameras, lines of sight and probability", whole), ("Probability and its ellipses", close)]
@@ -57,13 +54,13 @@ def location_picture(
         view = view_of(bounds, _WIDTH)
         picture = _heated(relief(dem, view), posterior, view)
         for camera in cameras:
-            ends = np.array([camera.position, posterior.mean])
-            row, col = view.to_grid(ends[:, 0], ends[:, 1])
-            line = np.rint(np.clip(np.column_stack([col, row]), -1e5, 1e5) * 2**_SHIFT).astype(np.int32)
-            cv2.polylines(picture, [line], False, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
-            cv2.polylines(picture, [line], False, INK, 1, cv2.LINE_AA, _SHIFT)
+            line = view_pixels(view, np.array([camera.position, posterior.mean]))
+            for color, width in ((_WHITE, 3), (INK, 1)):
+                cv2.polylines(picture, [line], False, color, width, cv2.LINE_AA, SHIFT)
         reach = 0.3 * (bounds[2] - bounds[0])
-        picture = furnished(picture, view, [replace(c, reach=reach) for c in cameras if _within(c, bounds)])
+        x_min, y_min, x_max, y_max = bounds
+        near = [c for c in cameras if x_min <= c.position[0] <= x_max and y_min <= c.position[1] <= y_max]
+        picture = furnished(picture, view, [replace(camera, reach=reach) for camera in near])
         _draw(picture, view, ellipses, posterior.mean)
         if bounds == maps[-1][1]:
             picture = _named(picture, view, ellipses)
@@ -89,29 +86,17 @@ def _heat_colors(heat: Float64Array) -> RgbImage:
 
 
 def places_picture(photo: RgbImage, places: Sequence[tuple[str, tuple[float, float], PointState]]) -> RgbImage:
-    """Return a photo with places of the map drawn where they lie in it: blue seen, orange hidden by terrain, grey
-    where unknown ground decides."""
+    """Return a photo with places of the map: blue seen, orange hidden by terrain, grey if unknown ground decides."""
     picture = photo.copy()
     size = max(13, round(photo.shape[1] / 80))
     line = max(1, size // 8)
     labels: list[Text] = []
     for name, (u, v), state in places:
-        centre = _fixed(np.array([[u, v]]))[0]
-        color = STATE_COLORS[state]
-        cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, (255, 255, 255), line + 2, cv2.LINE_AA, _SHIFT)
-        cv2.circle(picture, tuple(centre), (size // 2) << _SHIFT, color, line, cv2.LINE_AA, _SHIFT)
+        centre = round(u * 2**SHIFT), round(v * 2**SHIFT)
+        for color, width in ((_WHITE, line + 2), (STATE_COLORS[state], line)):
+            cv2.circle(picture, centre, (size // 2) << SHIFT, color, width, cv2.LINE_AA, SHIFT)
         labels.append((name, u + size * 0.8, v, "lm"))
     return draw_texts(picture, apart(labels, size, photo.shape[0]), size, INK, halo=PAPER)
-
-
-def _fixed(points: Float64Array) -> list[list[int]]:
-    found: list[list[int]] = np.rint(points * 2**_SHIFT).astype(np.int64).tolist()
-    return found
-
-
-def _within(camera: MapCamera, bounds: tuple[float, float, float, float]) -> bool:
-    x, y = camera.position
-    return bounds[0] <= x <= bounds[2] and bounds[1] <= y <= bounds[3]
 
 
 def _padded(points: Float64Array, share: float, least: float) -> tuple[float, float, float, float]:
@@ -120,25 +105,17 @@ def _padded(points: Float64Array, share: float, least: float) -> tuple[float, fl
     centre, half = (low + high) / 2, (high - low) / 2 * (1 + 2 * share)
     half = np.maximum(half, least / 2)
     half = np.maximum(half, half[::-1] * 0.7)
-    return (
-        float(centre[0] - half[0]),
-        float(centre[1] - half[1]),
-        float(centre[0] + half[0]),
-        float(centre[1] + half[1]),
-    )
+    x_min, y_min, x_max, y_max = np.concatenate([centre - half, centre + half]).tolist()
+    return x_min, y_min, x_max, y_max
 
 
 def _heated(picture: RgbImage, posterior: Posterior, view: GridGeometry) -> RgbImage:
-    """Return the cells by the share of the probability that is in more probable ones: a colour says the same on every
-    map."""
+    """Return the cells coloured by the share of the probability in more probable ones, alike on every map."""
     before = np.concatenate([[0.0], np.cumsum(posterior.probability)[:-1]])
     chosen = before < 0.99
     cells = np.zeros(posterior.geometry.shape)
     cells[posterior.rows[chosen], posterior.cols[chosen]] = 1 - before[chosen]
-    x, y = view.to_map(0, np.arange(view.width))[0], view.to_map(np.arange(view.height), 0)[1]
-    row, col = posterior.geometry.cell_of(x[None, :], y[:, None])
-    inside = posterior.geometry.contains(row, col)
-    row, col = np.clip(row, 0, posterior.geometry.height - 1), np.clip(col, 0, posterior.geometry.width - 1)
+    row, col, inside = cells_under(posterior.geometry, view)
     heat = np.where(inside, cells[row, col], 0.0)
     # Cells smaller than a pixel: the most probable shows.
     row, col = view.cell_of(*posterior.places[chosen].T)
@@ -153,15 +130,12 @@ def _draw(
     picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, Ellipse]], mean: tuple[float, float]
 ) -> None:
     for number, (_, ellipse) in enumerate(ellipses):
-        outline = ellipse.outline(180)
-        row, col = view.to_grid(outline[:, 0], outline[:, 1])
-        points = np.rint(np.clip(np.column_stack([col, row]), -1e5, 1e5) * 2**_SHIFT).astype(np.int32)
-        color = _FIRST if number == 0 else _SECOND
-        cv2.polylines(picture, [points], True, (255, 255, 255), 4 - number, cv2.LINE_AA, _SHIFT)
-        cv2.polylines(picture, [points], True, color, 2 - min(number, 1), cv2.LINE_AA, _SHIFT)
-    at_row, at_col = (round(float(v)) for v in view.to_grid(*mean))
-    cv2.drawMarker(picture, (at_col, at_row), (255, 255, 255), cv2.MARKER_CROSS, 20, 5, cv2.LINE_AA)
-    cv2.drawMarker(picture, (at_col, at_row), _FIRST, cv2.MARKER_CROSS, 18, 2, cv2.LINE_AA)
+        points = view_pixels(view, ellipse.outline(180))
+        for color, width in ((_WHITE, 4 - number), (_BLUE, 2 - min(number, 1))):
+            cv2.polylines(picture, [points], True, color, width, cv2.LINE_AA, SHIFT)
+    row, col = (round(float(v)) for v in view.to_grid(*mean))
+    for color, size, width in ((_WHITE, 20, 5), (_BLUE, 18, 2)):
+        cv2.drawMarker(picture, (col, row), color, cv2.MARKER_CROSS, size, width, cv2.LINE_AA)
 
 
 def _named(picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, Ellipse]]) -> RgbImage:
@@ -170,4 +144,4 @@ def _named(picture: RgbImage, view: GridGeometry, ellipses: Sequence[tuple[str, 
         top = max(ellipse.outline(180).tolist(), key=lambda place: place[1])
         row, col = view.to_grid(*top)
         texts.append((name, min(max(float(col), 40), view.width - 40), max(float(row) - 4, 14), "mb"))
-    return draw_texts(picture, texts, 14, _FIRST, halo=PAPER)
+    return draw_texts(picture, texts, 14, _BLUE, halo=PAPER)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import (
@@ -24,23 +24,23 @@ from ltm_core.pictures.legend import (
     draw_texts,
     label_legend,
     metres,
+    one_two_five,
     text_width,
     with_legend,
 )
 from ltm_core.pictures.photo_overlays import with_axes
-from ltm_core.pictures.relief import Window, hillshade, terrain_colors
+from ltm_core.pictures.relief import coarser, height_span, hillshade, terrain_colors
 from ltm_core.raster.dem import Dem
 
 _CHANGED = (230, 0, 140)
 _SEEN = (225, 87, 20)
-_SHIFT = 4  # OpenCV draws at 1/16 pixel
+SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 
 @dataclass(frozen=True)
 class MapCamera:
-    """A camera on a map: its position in the map frame, and its field of view as a sector (metres, degrees).
-
-    `camera`: None marks a position without a sector."""
+    """A camera on a map: its position in the map frame, and its field of view as a sector (metres, degrees). `camera`:
+    None marks a position without a sector."""
 
     name: str
     camera: Camera | None
@@ -82,7 +82,8 @@ def terrain_map_picture(
     if seen.shape != dem.elevation.shape:
         raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
     view = view_of(interesting_bounds(seen, dem.geometry, [c.position for c in cameras], dem.geometry), width)
-    colors = _on_view(dem, view, lambda factor, window: terrain_colors(dem, factor=factor, window=window))
+    span = height_span(dem.elevation)
+    colors = _on_view(dem, view, lambda part: terrain_colors(part, span))
     picture = np.asarray(np.nan_to_num(colors, nan=PAPER[0]).round(), np.uint8)
     hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
     mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
@@ -102,12 +103,9 @@ def finished(picture: RgbImage, view: GridGeometry, *legends: RgbImage, note: st
 
 
 def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
-    """Return a strip as wide as the map, with a bar of a round length in four parts and a note on the right, (h,
-    view.width, 3)."""
-    size = _text_size(view)
-    target = view.width * view.resolution / 4
-    power = 10 ** math.floor(math.log10(target))
-    length = max(n * power for n in (1, 2, 5) if n * power <= target)
+    """Return a strip (h, view.width, 3) with a bar of a round length in four parts and a note on the right."""
+    size, target = _text_size(view), view.width * view.resolution / 4
+    length = max(n for n in one_two_five(target / 10, target) if n <= target)
     strip = np.full((round(size * 2.9), view.width, 3), PAPER, np.uint8)
     top, bottom = round(size * 0.7), round(size * 1.15)
     edges = [size + round(length * part / 4 / view.resolution) for part in range(5)]
@@ -121,57 +119,36 @@ def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
 
 def relief(dem: Dem, view: GridGeometry) -> RgbImage:
     """Light grey relief on the view; paper where there is no terrain."""
-    shade = _on_view(dem, view, lambda factor, window: hillshade(dem, factor=factor, window=window))
+    shade = _on_view(dem, view, hillshade)
     grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
     grey = np.where(np.isfinite(shade), grey, PAPER[0])
     return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[int, Window], NDArray[Any]]) -> Float32Array:
-    """Return what `draw(factor, window)` gives of the part of the DEM under the view, at its pixel centres, bilinear;
-    NaN outside. `factor`: cells averaged for a coarser view."""
-    whole = dem.geometry
-    factor = max(1, int(view.resolution / whole.resolution))
-    if min(whole.height, whole.width) < 2 * factor:
-        factor = 1
-    rows, cols = view.to_map(np.array([0, view.height - 1]), 0)[1], view.to_map(0, np.array([0, view.width - 1]))[0]
-    top, bottom = _blocks(whole.to_grid(0.0, rows)[0], whole.height, factor)
-    left, right = _blocks(whole.to_grid(cols, 0.0)[1], whole.width, factor)
-    window = (top, left, bottom - top, right - left)
-    values = np.asarray(draw(factor, window), np.float32)
-    corner = whole.window(*window)
-    size = values.shape[:2]
-    part = GridGeometry(corner.x_min, corner.y_max, whole.resolution * factor, size[1], size[0])
-    _, cols_at = part.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
-    rows_at, _ = part.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
-    sampled = cv2.remap(
-        values,
-        np.broadcast_to(cols_at.astype(np.float32), view.shape).copy(),
-        np.broadcast_to(rows_at.astype(np.float32)[:, None], view.shape).copy(),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(float("nan"),) * 4,
-    )
+def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[Dem], NDArray[Any]]) -> Float32Array:
+    """Return what `draw` makes of the DEM under the view at its pixel centres, bilinear; NaN outside."""
+    g = dem.geometry
+    part = coarser(dem, max(1, min(int(view.resolution / g.resolution), min(g.height, g.width) // 2)), view)
+    _, cols = part.geometry.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
+    rows, _ = part.geometry.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
+    u, v = (np.ascontiguousarray(np.broadcast_to(at, view.shape), np.float32) for at in (cols, rows[:, None]))
+    values, outside = np.asarray(draw(part), np.float32), (float("nan"),) * 4
+    sampled = cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
     return np.asarray(sampled, np.float32)
 
 
-def _blocks(places: Float64Array, size: int, factor: int) -> tuple[int, int]:
-    """Return the cells between two places along one side, with two blocks of `factor` cells more, in whole blocks; at
-    least two blocks, also of a raster that lies elsewhere."""
-    most = size // factor
-    first = min(max(0, math.floor(places.min() / factor) - 2), most - 2)
-    last = max(min(most, math.ceil(places.max() / factor) + 3), first + 2)
-    return first * factor, last * factor
+def cells_under(geometry: GridGeometry, view: GridGeometry) -> tuple[IndexArray, IndexArray, BoolArray]:
+    """Return row and column (h, w) of the nearest cell to each of a view's pixels, and whether that is under it."""
+    x, y = view.to_map(0, np.arange(view.width))[0], view.to_map(np.arange(view.height), 0)[1]
+    row, col = geometry.cell_of(x[None, :], y[:, None])
+    inside = np.asarray(geometry.contains(row, col), np.bool_)
+    return np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1), inside
 
 
 def nearest(values: UInt8Array, geometry: GridGeometry, view: GridGeometry, outside: int) -> UInt8Array:
     """Return the cell under each of the view's pixel centres."""
-    x, _ = view.to_map(0, np.arange(view.width))
-    _, y = view.to_map(np.arange(view.height), 0)
-    row, col = geometry.cell_of(x[None, :], y[:, None])
-    inside = geometry.contains(row, col)
-    picked = values[np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1)]
-    return np.where(inside, picked, np.uint8(outside))
+    row, col, inside = cells_under(geometry, view)
+    return np.where(inside, values[row, col], np.uint8(outside))
 
 
 def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeometry:
@@ -185,22 +162,18 @@ def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeomet
 def interesting_bounds(
     mask: BoolArray, geometry: GridGeometry, points: Iterable[Sequence[float]], terrain: GridGeometry
 ) -> tuple[float, float, float, float]:
-    """Return the bounds of the marked cells and of points (x, y) with a margin, not thinner than 5:8, inside the
-    terrain."""
-    points = [*points]
-    xs, ys = [x for x, _ in points], [y for _, y in points]
-    rows, cols = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+    """Return the bounds of marked cells and points (x, y) with a margin, 5:8 or thicker, inside the terrain."""
+    places = [tuple(point) for point in points]
+    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows):
-        x, y = geometry.to_map([rows[0], rows[-1]], [cols[0], cols[-1]])
-        xs, ys = [*xs, *x.tolist()], [*ys, *y.tolist()]
-    if not xs:
+        places += zip(*(v.tolist() for v in geometry.to_map(rows[[0, -1]], cols[[0, -1]])), strict=True)
+    if not places:
         return terrain.bounds
-    centre_x, centre_y = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
-    half_x = max((max(xs) - min(xs)) / 2 * 1.08, 10 * geometry.resolution)
-    half_y = max((max(ys) - min(ys)) / 2 * 1.08, 10 * geometry.resolution)
-    half_x, half_y = max(half_x, half_y * 0.9), max(half_y, half_x * 0.5)
-    left, right = max(terrain.x_min, centre_x - half_x), min(terrain.x_max, centre_x + half_x)
-    bottom, top = max(terrain.y_min, centre_y - half_y), min(terrain.y_max, centre_y + half_y)
+    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    centre, half = (low + high) / 2, np.maximum((high - low) / 2 * 1.08, 10 * geometry.resolution)
+    half = np.maximum(half, half[::-1] * (0.9, 0.5))
+    left, bottom = np.maximum(centre - half, terrain.bounds[:2]).tolist()
+    right, top = np.minimum(centre + half, terrain.bounds[2:]).tolist()
     return (left, bottom, right, top) if right > left and top > bottom else terrain.bounds
 
 
@@ -221,25 +194,24 @@ def _text_size(view: GridGeometry) -> int:
     return max(13, round(view.width / 58))
 
 
-def _pixels(view: GridGeometry, points: Float64Array) -> Int32Array:
+def view_pixels(view: GridGeometry, points: Float64Array) -> Int32Array:
+    """Return points (N, 2) of the map as pixels for OpenCV with SHIFT."""
     row, col = view.to_grid(points[:, 0], points[:, 1])
     # Far outside, coordinates would overflow OpenCV's fixed point.
     limit = 50.0 * max(view.shape)
-    return np.asarray(np.clip(np.column_stack([col, row]), -limit, limit) * 2**_SHIFT, np.int32)
+    return np.asarray(np.clip(np.column_stack([col, row]), -limit, limit) * 2**SHIFT, np.int32)
 
 
 def _draw_camera(picture: RgbImage, view: GridGeometry, camera: MapCamera, size: int) -> bool:
     """Draw a camera; return whether its position or its sector is on the map."""
-    if camera.camera is not None:
-        outline = _pixels(view, camera.sector())
-        cv2.polylines(picture, [outline], True, (255, 255, 255), 3, cv2.LINE_AA, _SHIFT)
-        cv2.polylines(picture, [outline], True, INK, 1, cv2.LINE_AA, _SHIFT)
+    white = (255, 255, 255)
+    for color, line in ((white, 3), (INK, 1)) if camera.camera is not None else ():
+        cv2.polylines(picture, [view_pixels(view, camera.sector())], True, color, line, cv2.LINE_AA, SHIFT)
     row, col = view.to_grid(*camera.position)
     centre = round(float(col)), round(float(row))
     inside = 0 <= centre[0] < view.width and 0 <= centre[1] < view.height
-    if inside:
-        cv2.circle(picture, centre, round(size * 0.42), (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.circle(picture, centre, round(size * 0.3), INK, -1, cv2.LINE_AA)
+    for color, radius in ((white, 0.42), (INK, 0.3)) if inside else ():
+        cv2.circle(picture, centre, round(size * radius), color, -1, cv2.LINE_AA)
     return inside or camera.camera is not None
 
 
@@ -249,11 +221,9 @@ def _label(view: GridGeometry, camera: MapCamera, size: int) -> Text:
     if camera.camera is None:
         right = col < 0.75 * view.width
         return camera.name, col + (0.7 if right else -0.7) * size, row, "lm" if right else "rm"
-    back = math.radians(camera.azimuth_deg + 180)
-    x, y = col + math.sin(back) * size * 1.2, row - math.cos(back) * size * 1.2
-    half, margin = text_width(camera.name, size) / 2, size * 0.5
-    x += half * math.sin(back)
-    x = min(max(x, half + margin), view.width - half - margin)
+    back, half = math.radians(camera.azimuth_deg + 180), text_width(camera.name, size) / 2
+    x, y = col + math.sin(back) * (size * 1.2 + half), row - math.cos(back) * size * 1.2
+    x = min(max(x, half + size * 0.5), view.width - half - size * 0.5)
     return camera.name, x, min(max(y, size), view.height - size), "mm"
 
 
@@ -262,12 +232,11 @@ def draw_north(picture: RgbImage, size: int, texts: Sequence[Text] = ()) -> Text
     x, y = picture.shape[1] - 2 * size, size
     if any(place[1] + text_width(place[0], size) > x - size and place[2] < 5 * size for place in texts):
         y = picture.shape[0] - 5 * size
-    tip, half, height = (x, y), round(size * 0.7), round(size * 2.2)
-    left = np.array([tip, (x - half, y + height), (x, y + round(height * 0.72))], np.int32)
-    right = np.array([tip, (x + half, y + height), (x, y + round(height * 0.72))], np.int32)
-    whole = np.array([tip, left[1], left[2], right[1]], np.int32)
+    half, height = round(size * 0.7), round(size * 2.2)
+    tip, notch, base = (x, y), (x, y + round(height * 0.72)), [(x + side * half, y + height) for side in (-1, 1)]
+    whole = np.array([tip, base[0], notch, base[1]], np.int32)
     cv2.polylines(picture, [whole], True, PAPER, 5, cv2.LINE_AA)
-    cv2.fillPoly(picture, [left], INK, cv2.LINE_AA)
-    cv2.fillPoly(picture, [right], PAPER, cv2.LINE_AA)
+    for corner, color in zip(base, (INK, PAPER), strict=True):
+        cv2.fillPoly(picture, [np.array([tip, corner, notch], np.int32)], color, cv2.LINE_AA)
     cv2.polylines(picture, [whole], True, INK, 1, cv2.LINE_AA)
     return "N", x, y + height + size * 0.2, "mt"

@@ -18,23 +18,20 @@ from ltm_core.pictures.legend import (
     PAPER,
     UNLABELLED,
     ClassPalette,
+    Color,
     RangeScale,
     Text,
     depth_colors,
     draw_texts,
+    one_two_five,
     text_width,
 )
 
 
-def label_colors(
-    labels: UInt8Array, label_set: ClassPalette, unlabelled: tuple[int, int, int] = (70, 70, 74)
-) -> RgbImage:
-    """Return the colours (..., 3) of class ids (...) uint8; ids without a colour (255 and any not in the set) are
-    `unlabelled`."""
-    table = np.empty((256, 3), np.uint8)
-    table[:] = unlabelled
-    colors = np.asarray(label_set.colors, np.uint8)
-    table[: len(colors)] = colors
+def label_colors(labels: UInt8Array, label_set: ClassPalette, unlabelled: Color = (70, 70, 74)) -> RgbImage:
+    """Return the colours (..., 3) of class ids (...) uint8; ids without a colour are `unlabelled`."""
+    table = np.tile(np.array(unlabelled, np.uint8), (256, 1))
+    table[: len(label_set.colors)] = label_set.colors
     table[UNLABELLED] = unlabelled
     return table[np.asarray(labels, np.uint8)]
 
@@ -43,8 +40,7 @@ def overlay_depth(
     image: RgbImage, ranges: ArrayLike, scale: RangeScale | None = None, opacity: float = 0.55
 ) -> RgbImage:
     """Return the range colours over the photo (H, W, 3), plain where the range is sky or unknown. `ranges`: (H, W)
-    metres, or every n-th pixel. Thin dark lines mark the scale's round ranges. Raises ImageError on sizes
-    that disagree."""
+    metres, or every n-th pixel. Thin dark lines mark round ranges. Raises ImageError on sizes that disagree."""
     scale = scale or RangeScale()
     values = _to_image_size(np.asarray(ranges, np.float32), image)
     known = np.isfinite(values)
@@ -55,8 +51,7 @@ def overlay_depth(
 
 
 def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette, opacity: float = 0.5) -> RgbImage:
-    """Return the class colours over the photo with thin borders, plain where unlabelled. `labels`: (H, W) uint8, or
-    every n-th pixel. Raises ImageError on sizes that disagree."""
+    """Return the class colours over the photo. `labels`: (H, W) uint8, or every n-th pixel. Raises ImageError."""
     ids = _to_image_size(np.asarray(labels, np.uint8), image)
     colors = label_colors(ids, label_set)
     mixed = _mix(image, colors, opacity)
@@ -66,8 +61,7 @@ def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette,
 
 
 def _mix(image: RgbImage, colors: RgbImage, opacity: float) -> RgbImage:
-    """Return the colours over the photo's brightness alone: the photo's own hues would shift them away from the
-    legend."""
+    """Return the colours over the photo's brightness alone; its hues would shift them away from the legend."""
     grey = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     return np.asarray(cv2.addWeighted(grey, 1 - opacity, colors, opacity, 0.0), np.uint8)
 
@@ -82,18 +76,15 @@ def _edges(ids: Int16Array) -> BoolArray:
 
 def _to_image_size(values: NDArray[Any], image: RgbImage) -> NDArray[Any]:
     """`values`, sampled at every n-th pixel of `image` (`values = full[::n, ::n]`), enlarged to nearest."""
-    (height, width), (rows, cols) = image.shape[:2], values.shape
-    if (rows, cols) == (height, width):
+    shape = image.shape[:2]
+    step = -(-shape[0] // len(values))
+    if values.shape != tuple(-(-size // step) for size in shape):
+        sizes = f"{values.shape[1]} x {values.shape[0]}", f"{shape[1]} x {shape[0]}"
+        raise ImageError(f"a layer of {sizes[0]} pixels does not have every n-th pixel of an image of {sizes[1]}")
+    if step == 1:
         return values
-    step = -(-height // rows)
-    if (-(-height // step), -(-width // step)) != (rows, cols):
-        raise ImageError(
-            f"a layer of {cols} x {rows} pixels does not lie on an image of {width} x {height}: "
-            f"it must have every n-th pixel of it"
-        )
-    row = np.minimum((np.arange(height) + step // 2) // step, rows - 1)
-    col = np.minimum((np.arange(width) + step // 2) // step, cols - 1)
-    return np.asarray(values[row[:, None], col])
+    row, col = ((np.arange(size) + step // 2) // step for size in shape)
+    return np.asarray(values[np.minimum(row, len(values) - 1)[:, None], np.minimum(col, values.shape[1] - 1)])
 
 
 COLORS = (
@@ -103,10 +94,9 @@ COLORS = (
 
 
 def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence[bool]) -> RgbImage:
-    """Return (H, W, 3): each of `proposals` (H, W) in a colour with its number from 1 on; those not `kept` as
-    outlines."""
+    """Return (H, W, 3): `proposals` (H, W) in colours, numbered from 1; those not `kept` as outlines."""
     drawn = photo.copy()
-    texts: list[tuple[str, float, float, str]] = []
+    texts: list[Text] = []
     size = max(14.0, photo.shape[1] / 45)
     for number, (hidden, keep) in enumerate(zip(proposals, kept, strict=True), start=1):
         color = np.array(COLORS[(number - 1) % len(COLORS)], np.float32)
@@ -117,18 +107,13 @@ def mask_picture(photo: RgbImage, proposals: Sequence[BoolArray], kept: Sequence
         # The number is in the thickest place, clear of the picture's edge.
         depth = cv2.distanceTransform(np.pad(hidden.astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
         v, u = np.unravel_index(int(np.argmax(depth)), depth.shape)
-        u_text = float(np.clip(u, size, photo.shape[1] - size))
-        texts.append((str(number), u_text, float(np.clip(v, size, photo.shape[0] - size)), "mm"))
-    return draw_texts(drawn, texts, size, (255, 255, 255), halo=(20, 20, 20))  # type: ignore[arg-type]
-
-
-_STEPS = (0.5, 1, 2, 5)  # the first for lengths that rounding puts just below a power of ten
-_LEAST_TICKS = 3
+        u, v = (np.clip(at, size, most - size) for at, most in ((u, photo.shape[1]), (v, photo.shape[0])))
+        texts.append((str(number), float(u), float(v), "mm"))
+    return draw_texts(drawn, texts, size, (255, 255, 255), halo=(20, 20, 20))
 
 
 def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float] = (0.0, 0.0)) -> RgbImage:
-    """Return `picture` (of the raster `view`) with eastings below and northings on the left, in metres, every round
-    distance. `offset`: added to the view's coordinates."""
+    """Return `picture` (of the raster `view`) with round eastings and northings, metres, plus `offset`."""
     height, width = picture.shape[:2]
     size = max(14, round(width / 54))
     step = round_step(min(width, height) * view.resolution)
@@ -155,8 +140,7 @@ def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float]
 
 def round_step(length: float) -> float:
     """Return the greatest of 1, 2, 5 times a power of ten that goes into `length` three times or more."""
-    power = 10.0 ** math.floor(math.log10(length / _LEAST_TICKS))
-    return max(n * power for n in _STEPS if n * power * _LEAST_TICKS <= length)
+    return max(step for step in one_two_five(length / 100, length) if step * 3 <= length)
 
 
 def _ticks(low: float, high: float, step: float) -> list[float]:
@@ -169,16 +153,15 @@ def _number(value: float) -> str:
 
 def fit(picture: RgbImage, width: int) -> RgbImage:
     """Return `picture` at `width` pixels, its proportions kept."""
-    height = max(1, round(picture.shape[0] * width / picture.shape[1]))
-    if (height, width) == picture.shape[:2]:
+    if width == picture.shape[1]:
         return picture
+    height = max(1, round(picture.shape[0] * width / picture.shape[1]))
     method = cv2.INTER_AREA if width < picture.shape[1] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(picture, (width, height), interpolation=method), np.uint8)
 
 
 def panel(pictures: Sequence[tuple[str, RgbImage]], columns: int = 2, width: int = 800, heading: str = "") -> RgbImage:
-    """Return a sheet of titled pictures, row by row, each `width` pixels wide, under its heading. Raises ImageError
-    when there is none."""
+    """Return a sheet of titled pictures, row by row, each `width` pixels wide, under its heading."""
     if not pictures or columns < 1:
         raise ImageError(f"a panel needs at least one image and one column, got {len(pictures)} and {columns}")
     size, gap = max(14, round(width / 46)), 14

@@ -39,32 +39,30 @@ def pose_fit_picture(
     """Return the photo (H, W, 3) of `camera` once for each (title, camera, pose), one under the other, with the
     terrain's horizon (orange where land beyond the DEM may stand over it) and ridges drawn in."""
     step = max(1, -(-camera.width // _WIDEST))
-    small = cv2.resize(photo, (camera.width // step, camera.height // step), interpolation=cv2.INTER_AREA)
-    sheets = []
+    small = _resized(photo, camera.width // step, camera.height // step)
+    width = max(1, round(small.shape[1] / 900))
+    c, sheets = horizon.contours, []
+    ends = np.flatnonzero(c.following >= 0)
+    known = np.flatnonzero((horizon.range[:-1] > 0) & (horizon.range[1:] > 0))
+    opened = horizon.open[known]
+    ground = horizon.azimuths, np.where(horizon.range > 0, horizon.tangent, 0.0), np.maximum(horizon.range, 1.0)
     for title, lens, pose in poses:
-        drawn = small.copy()
-        lens = lens.resized(small.shape[1], small.shape[0])
-        width = max(1, round(small.shape[1] / 900))
-        c = horizon.contours
-        ends = np.flatnonzero(c.following >= 0)
-        ridge = (c.azimuth, c.tangent, c.range)
-        lines = [
-            (_pixels(ridge, ends, lens, pose, horizon), _pixels(ridge, c.following[ends], lens, pose, horizon), _RIDGE)
-        ]
-        sky = (horizon.azimuths, horizon.tangent, np.maximum(horizon.range, 1.0))
-        known = np.flatnonzero((horizon.range[:-1] > 0) & (horizon.range[1:] > 0))
-        for kind, color in ((horizon.open[known], _OPEN), (~horizon.open[known], _HORIZON)):
-            at = known[kind]
-            lines.append((_pixels(sky, at, lens, pose, horizon), _pixels(sky, at + 1, lens, pose, horizon), color))
+        drawn, lens = small.copy(), lens.resized(small.shape[1], small.shape[0])
+        ridge = _pixels(c.azimuth, c.tangent, c.range, lens, pose, horizon.position)
+        sky = _pixels(*ground, lens, pose, horizon.position)
+        lines = [(ridge[ends], ridge[c.following[ends]], _RIDGE)]
+        lines += [(sky[k], sky[k + 1], color) for k, color in ((known[opened], _OPEN), (known[~opened], _HORIZON))]
         for halo in (True, False):
             for here, there, color in lines:
-                _draw(drawn, here, there, _HALO if halo else color, width + 2 if halo else width)
+                pairs = np.rint(np.stack([here, there], axis=1) * 16)
+                seen = np.isfinite(pairs).all(axis=(1, 2))
+                style = (_HALO, width + 2) if halo else (color, width)
+                cv2.polylines(drawn, list(pairs[seen].astype(np.int32)), False, *style, cv2.LINE_AA, 4)
         sheets.append(draw_texts(drawn, [(title, 8, 6, "lt")], max(13, small.shape[1] / 60), (255, 255, 255), _HALO))
     return np.concatenate(sheets)
 
 
-_MEDIAN_ARROW = 0.03
-"""Length of the median arrow of a residual picture, as a share of its width."""
+_MEDIAN_ARROW = 0.03  # length of the median arrow of a residual picture, as a share of its width
 
 
 def residual_picture(
@@ -74,20 +72,15 @@ def residual_picture(
     factor in the title. Points that were not `used` are red. Arrows along the radius show an error of the lens."""
     scale = min(1.0, _WIDEST / camera.width)
     size = (round(camera.width * scale), round(camera.height * scale))
-    if photo is None:
-        drawn = np.full((size[1], size[0], 3), 60, np.uint8)
-    else:
-        drawn = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) // 2
+    drawn = np.full((size[1], size[0], 3), 60, np.uint8) if photo is None else _resized(photo, *size) // 2
     known = np.isfinite(errors).all(axis=1)
     typical = float(np.median(np.hypot(*errors[known].T))) if known.any() else 1.0
     wanted = _MEDIAN_ARROW * size[0] / max(typical * scale, 1e-6)
     factor = max(f for f in (1, 2, 5, 10, 20, 50, 100, 200, 500) if f <= max(wanted, 1))
     for at, error, kept in zip(pixels[known], errors[known], used[known], strict=True):
-        color = _HORIZON if kept else (255, 80, 60)
         # errors are marked minus projected
         tail, head = ((p * scale).round().astype(int).tolist() for p in (at, at - factor * error))
-        for halo in (True, False):
-            line = (_HALO, 5) if halo else (color, 2)
+        for line in ((_HALO, 5), (_HORIZON if kept else (255, 80, 60), 2)):
             cv2.arrowedLine(drawn, tail, head, *line, cv2.LINE_AA, tipLength=0.2)
         cv2.circle(drawn, tail, 3, (255, 255, 255), -1, cv2.LINE_AA)
     title = f"marked to projected, x {factor}; median residual {typical:.2f} px"
@@ -95,26 +88,15 @@ def residual_picture(
 
 
 def _pixels(
-    points: tuple[Float64Array, Float64Array, Float64Array],
-    at: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
-    camera: Camera,
-    pose: Pose,
-    horizon: TerrainHorizon,
+    azimuth: Float64Array, tangent: Float64Array, ranges: Float64Array, lens: Camera, pose: Pose, origin: Float64Array
 ) -> Float64Array:
-    azimuth, tangent, ranges = (values[at] for values in points)
-    directions = np.column_stack([np.sin(azimuth), np.cos(azimuth), tangent])
-    moved = directions - (pose.position - horizon.position) / ranges[:, None]
+    """Return the pixels (N, 2) of ground seen from `origin`; NaN beside the image or behind the camera."""
+    moved = np.column_stack([np.sin(azimuth), np.cos(azimuth), tangent]) - (pose.position - origin) / ranges[:, None]
     optical = moved @ pose.rotation
-    wide = np.hypot(camera.width, camera.height) / camera.fx
+    wide = np.hypot(lens.width, lens.height) / lens.fx
     beside = np.hypot(optical[:, 0], optical[:, 1]) > math.tan(min(math.atan(wide), 1.4)) * optical[:, 2]
     optical[beside | (optical[:, 2] <= 0)] = np.nan
-    return camera.project(optical)
-
-
-def _draw(picture: RgbImage, here: Float64Array, there: Float64Array, color: tuple[int, int, int], width: int) -> None:
-    seen = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-    lines = np.rint(np.stack([here[seen], there[seen]], axis=1) * 16).astype(np.int32)
-    cv2.polylines(picture, list(lines), False, color, width, cv2.LINE_AA, 4)
+    return lens.project(optical)
 
 
 _SKY_TOP, _SKY_HORIZON = (150, 186, 220), (228, 236, 242)
@@ -124,16 +106,13 @@ _WIDEST_TRACE = 2200
 
 
 def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -> RgbImage:
-    """Return the ranges in colour over the photo (H, W, 3), or over shaded terrain without one, with skyline and
-    legend; at every n-th pixel if wider than 2200 pixels."""
+    """Return the ranges in colour over the photo or shaded terrain; every n-th pixel if wider than 2200."""
     step = -(-traced.camera.width // _WIDEST_TRACE)
     ranges = traced.range[::step, ::step]
     if step > 1:
         traced = RangeImage(ranges, traced.camera.scaled(step), traced.pose, traced.bend, traced.geometry)
-    if photo is None:
-        base, opacity = shaded_view(traced, dem), 0.6
-    else:
-        base, opacity = _shrunk(photo, ranges.shape), 0.5
+    shown = (shaded_view(traced, dem), 0.6) if photo is None else (_resized(photo, *ranges.shape[::-1]), 0.5)
+    base, opacity = shown
     scale = RangeScale.of(ranges)
     picture = draw_skyline(overlay_depth(base, ranges, scale, opacity), ranges)
     return with_legend(picture, range_legend(picture.shape[1], scale, sky=False))
@@ -155,13 +134,9 @@ def map_picture(
 
 
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
-    """Return the traced terrain as a camera would see it, grey under the relief's lights, under a plain sky, (H, W,
-    3)."""
-    height, width = traced.range.shape
-    fade = np.linspace(0, 1, height)[:, None, None]
-    picture = np.broadcast_to(
-        (1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (height, width, 3)
-    ).copy()
+    """Return the traced terrain (H, W, 3) as a camera would see it, grey under the relief's lights and a plain sky."""
+    fade = np.linspace(0, 1, len(traced.range))[:, None, None]
+    picture = np.tile((1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (1, traced.range.shape[1], 1))
     picture[np.isnan(traced.range)] = _UNKNOWN
     known = np.isfinite(traced.range)
     points = traced.points()[known]
@@ -171,20 +146,16 @@ def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
 
 
 def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
-    """Return `picture` with a line, two pixels thick at 1080p, where terrain meets the sky above it; not where unknown
-    ground does."""
+    """Return `picture` with a line, two pixels thick at 1080p, where known terrain meets the sky."""
     edge = np.isposinf(ranges[:-1]) & np.isfinite(ranges[1:])
-    thickness = max(1, round(picture.shape[0] / 540))
     drawn = picture.copy()
-    for shift in range(thickness):
+    for shift in range(max(1, round(picture.shape[0] / 540))):
         drawn[: edge.shape[0] - shift][edge[shift:]] = _SKYLINE
     return drawn
 
 
-def _shrunk(photo: RgbImage, shape: tuple[int, ...]) -> RgbImage:
-    if photo.shape[:2] == shape:
-        return photo
-    return np.asarray(cv2.resize(photo, shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+def _resized(photo: RgbImage, width: int, height: int) -> RgbImage:
+    return np.asarray(cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 BANDS = (
@@ -212,8 +183,7 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
 def coverage_picture(
     coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str, frame: SiteFrame
 ) -> RgbImage:
-    """Return the number of cameras that see each cell over shaded relief, RGB (H, W, 3), with cameras and legend.
-    `dem`: in the frame of the coverage."""
+    """Return the number of cameras that see each cell over shaded relief, (H, W, 3). `dem`: in its frame."""
     classes = np.clip(coverage.count, 0, len(_COUNTS.names) - 1).astype(np.uint8)
     classes[coverage.count < 0] = UNLABELLED
     g = coverage.geometry
@@ -238,10 +208,9 @@ def site_picture(
     offset: tuple[float, float],
     heading: str,
 ) -> RgbImage:
-    """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3).
-
-    `dem`, `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to
-    vote; a camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
+    """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3). `dem`,
+    `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to vote; a
+    camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
     bounds = _around(dem.geometry, cameras)
     reach = 0.14 * (bounds[2] - bounds[0])
     drawn = [replace(camera, reach=reach) for camera in cameras]
@@ -267,8 +236,8 @@ _VIEWS = Palette(("not seen", "seen, too far to vote", "votes: 1 view", "2 views
 
 def _around(geometry: GridGeometry, cameras: Sequence[MapCamera]) -> tuple[float, float, float, float]:
     """Return the bounds of a DEM and of cameras beside it, with a margin."""
-    x, y = [c.position[0] for c in cameras], [c.position[1] for c in cameras]
-    x_min, x_max = min([geometry.x_min, *x]), max([geometry.x_max, *x])
-    y_min, y_max = min([geometry.y_min, *y]), max([geometry.y_max, *y])
-    margin = 0.02 * max(x_max - x_min, y_max - y_min)
-    return x_min - margin, y_min - margin, x_max + margin, y_max + margin
+    places = np.array([geometry.bounds[:2], geometry.bounds[2:], *(camera.position for camera in cameras)])
+    low, high = places.min(axis=0), places.max(axis=0)
+    margin = 0.02 * float((high - low).max())
+    x_min, y_min, x_max, y_max = np.concatenate([low - margin, high + margin]).tolist()
+    return x_min, y_min, x_max, y_max

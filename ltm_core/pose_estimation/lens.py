@@ -15,16 +15,13 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 
-RADIAL = {"k1": 0, "k2": 1, "k3": 4}
-"""Places of the radial terms in `Camera.distortion`."""
+RADIAL = {"k1": 0, "k2": 1, "k3": 4}  # places of the radial terms in `Camera.distortion`
 _KINDS = {"phone": 0.04, "slr": 0.05, "ptz": 0.1, "action": 0.25, "any": 0.15}
 """Standard deviation of the radial shift at an image's corner, as a share of its radius, by kind of lens."""
 _FOCAL = {"phone": 0.02, "slr": 0.02, "ptz": 0.05, "action": 0.05, "any": 0.05}
 """Relative standard deviation of the focal length by kind of lens."""
-_HIGHER = 0.5
-"""Standard deviation of each higher radial term, as a share of that of the term before it, at the corner."""
-_CENTRE = 0.005
-"""Standard deviation of the principal point as a share of the image's width."""
+_HIGHER = 0.5  # standard deviation of each higher radial term, as a share of that of the term before it, at the corner
+_CENTRE = 0.005  # standard deviation of the principal point as a share of the image's width
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from ltm_core.site.site import Site
 from ltm_core.vision.label_head import find_label_head
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import RECORDS, SHIPPED_LABEL_HEAD, NetworkManifest
-from ltm_core.vision.masks import ViewMasks
+from ltm_core.vision.masks import MaskMaker
 from ltm_core.vision.prompts import prompted
-from ltm_core.vision.scene_view import SceneFilter, mask_maker
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.segmenter import Segmenter
 
 
@@ -116,11 +116,6 @@ def site_scene_filter(site: Site, camera: str) -> SceneFilter:
             f"{where}.calibration: images of {size[0]} x {size[1]} pixels exceed `expert.limits.pixels`, "
             f"{site.limits.pixels}; correct the calibration, or raise the limit"
         )
-    views = None
-    if config.view_masks:
-        made = {v: mask_maker(v.mask, f"{where}.view_masks.{v.name}")[0] for v in config.view_masks}
-        views = ViewMasks(made, size)
-    if config.mask is None:
-        return SceneFilter(judged=config.judge_pictures, views=views, place=place)
-    make, own = mask_maker(config.mask, f"{where}.mask")
-    return SceneFilter(make, size or own, config.judge_pictures, views, place)
+    views = {view: MaskMaker(view.mask, f"{where}.view_masks.{view.name}") for view in config.view_masks or ()}
+    make = None if config.mask is None else MaskMaker(config.mask, f"{where}.mask")
+    return SceneFilter(make, size or (make.size if make else None), config.judge_pictures, views, place)

@@ -1,7 +1,5 @@
 """Read, write and rasterise named areas of photos, and outline regions as polygons.
 
-Turns areas that a person has drawn into label images, and regions of an image into polygons.
-
 Later areas lie over earlier ones. The hole of a region becomes part of its outline, by a cut that leads to it."""
 
 from __future__ import annotations
@@ -26,21 +24,16 @@ from ltm_core.vision.mask_config import MOST_POINTS, Point
 from ltm_core.vision.masks import fill
 
 POLYGONS_FILE: Final = "polygons.json"
-MASKED: Final = "masked"
-"""Class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images."""
-ERASED: Final = "unlabelled"
-"""Class of areas in which earlier areas are erased."""
-LARGEST_FILE = 16 << 20
-"""Maximum bytes of a file."""
+MASKED: Final = "masked"  # class of areas that hide the landscape, for `ltm mask --drawn`; unlabelled in label images
+ERASED: Final = "unlabelled"  # class of areas in which earlier areas are erased
+LARGEST_FILE = 16 << 20  # maximum bytes of a file
 MOST_AREAS = 20_000
 
 
 class NamedArea(StrictModel):
     """One area of one photo."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False, populate_by_name=True
-    )
+    model_config = ConfigDict(populate_by_name=True)
 
     image: str = Field(max_length=255)
     """File name of the photo."""
@@ -75,10 +68,8 @@ def read_areas(path: Path) -> tuple[NamedArea, ...]:
 
 def write_areas(path: Path, areas: Sequence[NamedArea]) -> None:
     """Write one line per area, atomically."""
-    lines = [
-        json.dumps(area.model_dump(by_alias=True, exclude_defaults=True, mode="json"), ensure_ascii=False)
-        for area in areas
-    ]
+    content = (area.model_dump(by_alias=True, exclude_defaults=True, mode="json") for area in areas)
+    lines = [json.dumps(area, ensure_ascii=False) for area in content]
     replace_file(path, ("[\n" + ",\n".join(lines) + "\n]\n").encode())
 
 
@@ -90,9 +81,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 Outline = tuple[tuple[float, float], ...]
-MOST_HOLES = 200
-"""Maximum number of holes of one part; the smallest others are filled, so that an outline does not exceed its maximum
-number of corners."""
+MOST_HOLES = 200  # maximum number of holes of one part; smaller ones are filled, so that outlines keep few corners
 _Points = NDArray[np.int32]
 Points = Sequence[Sequence[float]]
 
@@ -118,40 +107,30 @@ def stroke_areas(image: str, kind: str, points: Points, radius: float, height: i
 
 
 def areas_of(image: str, labels: UInt8Array, names: Sequence[str], least: float = 0.0003) -> list[NamedArea]:
-    """Return the areas of a label image (H, W), largest first, so that inner areas are drawn over outer ones.
-
-    `least`: share of the image; smaller regions are left out."""
+    """Return the areas of a label image (H, W), largest first, so that inner areas are drawn over outer ones. `least`:
+    share of the image; smaller regions are left out."""
     found: list[tuple[float, NamedArea]] = []
     for index, name in enumerate(names):
-        region = (labels == index).astype(np.uint8)
-        if not region.any():
-            continue
-        smooth = cv2.medianBlur(region * np.uint8(255), 5) > 127
-        found += [
-            (cv2.contourArea(np.array(outline, np.float32)), NamedArea(image=image, kind=name, polygon=outline))
-            for outline in polygons_of(np.asarray(smooth, np.bool_), 1.5, filled=True)
-        ]
-    kept = [(size, area) for size, area in found if size >= least * labels.size]
-    return [area for _, area in sorted(kept, key=lambda one: -one[0])]
+        smooth = cv2.medianBlur((labels == index).astype(np.uint8), 5) > 0
+        for outline in polygons_of(np.asarray(smooth, np.bool_), 1.5, filled=True):
+            size = cv2.contourArea(np.array(outline, np.float32))
+            if size >= least * labels.size:
+                found.append((size, NamedArea(image=image, kind=name, polygon=outline)))
+    return [area for _, area in sorted(found, key=lambda one: -one[0])]
 
 
 def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False) -> list[Outline]:
     """Return outlines (u, v) of the parts of (H, W), to `tolerance` pixels, coarser where a polygon would have too many
-    corners (`MOST_POINTS`).
-
-    `filled`: holes are filled. Otherwise the outline goes in to each hole, about it, and back the same way, so that
-    filling it by the even-odd rule leaves the hole out."""
+    corners (`MOST_POINTS`). `filled`: holes are filled. Otherwise the outline goes into each hole and back, for the
+    even-odd rule."""
     mode = cv2.RETR_EXTERNAL if filled else cv2.RETR_CCOMP
     # All pixels of the edges: a cut to a hole ends at one of them.
     contours, tree = cv2.findContours(region.astype(np.uint8), mode, cv2.CHAIN_APPROX_NONE)
     parents = [] if tree is None else tree[0, :, 3].tolist()
-    holes_of: dict[int, list[_Points]] = {number: [] for number, parent in enumerate(parents) if parent < 0}
-    for contour, parent in zip(contours, parents, strict=True):
-        if parent >= 0:
-            holes_of[parent].append(np.asarray(contour, np.int32))
     found = []
-    for number, holes in holes_of.items():
-        holes.sort(key=cv2.contourArea)
+    for number in [number for number, parent in enumerate(parents) if parent < 0]:
+        inner = [np.asarray(c, np.int32) for c, parent in zip(contours, parents, strict=True) if parent == number]
+        holes = sorted(inner, key=cv2.contourArea)
         small = max(0, len(holes) - MOST_HOLES)
         solid = region
         if small:  # of this part alone: another one that lies in such a hole keeps its own
@@ -164,8 +143,7 @@ def polygons_of(region: BoolArray, tolerance: float = 1.0, filled: bool = False)
 
 
 def _with_cuts(region: BoolArray, outer: _Points, holes: list[_Points]) -> tuple[_Points, NDArray[np.bool_]]:
-    """Return one closed line (N, 2) about a part and its holes, and which of its points (N,) a cut begins or ends
-    at."""
+    """Return one closed line (N, 2) about a part and its holes, and at which of its points (N,) a cut ends."""
     points, fixed = outer, np.zeros(len(outer), np.bool_)
     # From the left: what lies left of a hole, the outline or another hole, is part of the line already.
     for hole in sorted(holes, key=lambda one: int(one[:, 0].min())):
@@ -184,10 +162,7 @@ def _with_cuts(region: BoolArray, outer: _Points, holes: list[_Points]) -> tuple
 
 def _few_corners(points: _Points, fixed: NDArray[np.bool_], tolerance: float) -> Outline:
     """Of a closed line, as few corners as the tolerance lets, and the `fixed` ones; no more than a polygon may have."""
-    while True:
-        corners = _simplified(points, fixed, tolerance)
-        if len(corners) <= MOST_POINTS:
-            break
+    while len(corners := _simplified(points, fixed, tolerance)) > MOST_POINTS:
         tolerance *= 2
     # A line or a dot is a polygon too: of three corners, the last of them repeated.
     corners = corners[np.minimum(np.arange(max(3, len(corners))), len(corners) - 1)]

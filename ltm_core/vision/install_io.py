@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -41,8 +41,7 @@ Progress = Callable[[int], None]
 
 
 class Condition(StrictModel):
-    """Properties that a file must all have: `model_type` of its `config.json`, names of inputs and outputs, and height
-    and width of its image."""
+    """Properties that a file must all have: `model_type` of `config.json`, inputs, outputs, height and width."""
 
     model_types: tuple[str, ...] = ()
     inputs: frozenset[str] = frozenset()
@@ -105,16 +104,15 @@ class Source:
     beside: tuple[Path, ...] = ()
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Return width and height of the image for a network that takes any size: those of the preprocessor, else
-        those given, if not 0, else 640 x 352."""
+        """Return width and height of the image for a free size: the preprocessor's, else those given, if not 0."""
         size = self.preprocessor.get("size")
         size = {"height": size, "width": size} if isinstance(size, int) else size if isinstance(size, dict) else {}
         known = {key: value for key, value in size.items() if isinstance(value, int) and value > 0}
-        if {"height", "width"} <= set(known):
-            return known["width"], known["height"]
         if short := known.get("shortest_edge", 0):
-            return min(round(short * 16 / 9), known.get("longest_edge", 2 * short)), short
-        return width or 640, height or 352
+            usual = min(round(short * 16 / 9), known.get("longest_edge", 2 * short)), short
+        else:
+            usual = width or 640, height or 352
+        return (known["width"], known["height"]) if {"height", "width"} <= set(known) else usual
 
     def class_names(self) -> list[str]:
         """Return the names of the classes of its `config.json`, the repeated ones numbered; empty if it has none."""
@@ -125,8 +123,7 @@ class Source:
 
     def normalisation(self, stated: str, usual: str) -> dict[str, Any] | None:
         """Return the keys of `InputSpec` for the values of pixels: those of the normalisation `stated`, of the
-        preprocessor, or of the `usual` normalisation; None if nothing states them. Raises ModelError for a name that
-        is no normalisation."""
+        preprocessor, or of the `usual` normalisation; None if nothing states them. Raises ModelError for another."""
         named, given = RecipeFile.load().normalisations, self.preprocessor
         if name := stated or ("" if given else usual):
             if name not in named:
@@ -162,10 +159,8 @@ def source_of(given: str, progress: Progress = lambda received: None, fetch: boo
     else:
         recipe, folder = RecipeFile.load().named(given), added_folder() / ".downloads" / given
         if not recipe.url:
-            raise ModelError(
-                f"{given}: no public ONNX export is known; export it from {recipe.page}, then: ltm models add FILE "
-                f"--like {given}"
-            )
+            how = f"export it from {recipe.page}, then: ltm models add FILE --like {given}"
+            raise ModelError(f"{given}: no public ONNX export is known; {how}")
         for name, digest in recipe.files.items():
             download(f"{recipe.url}/{name}", folder / name, digest, progress)
         found = _of_file(next(folder / name for name in recipe.files if name.endswith(".onnx")))
@@ -174,36 +169,37 @@ def source_of(given: str, progress: Progress = lambda received: None, fetch: boo
 
 
 def install(manifest: NetworkManifest, source: Source) -> NetworkManifest:
-    """Copy a checked manifest and all its files to the user's models; return the new manifest.
-
-    The files of each network have a folder of its own, so that no network overwrites another's. Raises ModelError for
-    the name of a model that ships, or of another network that is installed."""
+    """Copy a checked manifest and all its files to the user's models; return the new manifest. The files of each
+    network have a folder of its own, so that no network overwrites another's. Raises ModelError for the name of a model
+    that ships, or of another network that is installed."""
     folder, name = added_folder(), manifest.name
     target, files = folder / f"{name}.yaml", folder / name
+    other = "add --name OTHER"
     if not re.fullmatch(r"\w[\w.-]*", name) or f"{name}.yaml".endswith(FUSION_SUFFIX):
         raise ModelError(f"a model cannot be named {name!r}; add --name with letters, digits, `_` and `-`")
     if name in shipped_names():
-        raise ModelError(f"a model named {name!r} ships with LTM; add --name OTHER")
+        raise ModelError(f"a model named {name!r} ships with LTM; {other}")
     if is_file(target) and NetworkManifest.load(target).sha256 != manifest.sha256:
-        raise ModelError(f"{target}: another network of this name is installed; add --name OTHER, or delete that file")
+        raise ModelError(f"{target}: another network of this name is installed; {other}, or delete that file")
     if is_folder(files) and not is_file(target):
-        raise ModelError(f"{files}: exists, but has no manifest {target.name}; add --name OTHER, or delete it")
+        raise ModelError(f"{files}: exists, but has no manifest {target.name}; {other}, or delete it")
     folder.mkdir(parents=True, exist_ok=True)
     network = NetworkFile.read(manifest.model_file())
     content = manifest.model_dump(mode="json", exclude_defaults=True) | {"file": f"{name}/{name}.onnx"}
     with TemporaryDirectory(dir=folder, prefix=".adding-") as made:
         stage = Path(made) / name
-        stage.mkdir()
-        shutil.copyfile(manifest.model_file(), stage / f"{name}.onnx")
-        for weights in network.weights:  # the graph refers to them by these names
-            (stage / weights).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(manifest.model_file().parent / weights, stage / weights)
+
+        def add(path: Path, parts: Iterable[str], to: str = "") -> None:
+            for part in (path.name, *parts):
+                copied = stage / (to if to and part == path.name else part)
+                copied.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path.parent / part, copied)
+
+        add(manifest.model_file(), network.weights, f"{name}.onnx")  # the graph refers to its weights by these names
         for section in ("text", "prompts"):
             for key in {"file", "tokenizer", "encoder"} & set(content.get(section, {})):
                 path = manifest.file_of(Path(content[section][key]))
-                for part in (path.name, *(NetworkFile.read(path).weights if key == "encoder" else ())):
-                    (stage / part).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(path.parent / part, stage / part)
+                add(path, NetworkFile.read(path).weights if key == "encoder" else ())
                 content[section][key] = f"{name}/{path.name}"
         if is_file(manifest.folder / manifest.card):
             shutil.copyfile(manifest.folder / manifest.card, stage / "card.md")
@@ -242,10 +238,9 @@ def stated_by(options: Sequence[str]) -> dict[str, Any]:
 
 
 def download(url: str, target: Path, digest: str | None, progress: Progress = lambda received: None) -> None:
-    """Download a file, continuing an interrupted download; `progress` gets the bytes received.
-
-    `digest`: its SHA-256; None: that of the server's `X-Linked-ETag`, if it has one. A file with another digest is
-    deleted. Raises ModelError."""
+    """Download a file, continuing an interrupted download; `progress` gets the bytes received. `digest`: its SHA-256;
+    None: that of the server's `X-Linked-ETag`, if it has one. A file with another digest is deleted. Raises
+    ModelError."""
     import httpx
 
     if url.startswith("file://"):
@@ -260,19 +255,17 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
     try:
         with httpx.Client(timeout=60.0, headers={"user-agent": "ltm"}) as client:
             request = client.build_request("GET", url, headers={"range": f"bytes={start}-"} if start else {})
-            answer = client.send(request, stream=True)
             for _ in range(10):  # the first answer has the checksum, the last one the file
+                answer = client.send(request, stream=True)
+                digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
                 if answer.next_request is None:
                     break
-                digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
                 answer.close()
-                answer = client.send(answer.next_request, stream=True)
-            digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
+                request = answer.next_request
             if answer.status_code != 416:  # the part is the whole file
                 answer.raise_for_status()
-                resumes = answer.status_code == 206
-                received = start if resumes else 0
-                with part.open("ab" if resumes else "wb") as out:
+                received = start if answer.status_code == 206 else 0
+                with part.open("ab" if received else "wb") as out:
                     for chunk in answer.iter_bytes():
                         out.write(chunk)
                         received += len(chunk)
@@ -305,8 +298,8 @@ def _of_file(path: Path) -> Source:
         header = read_text(readme, _LARGEST_SIDE_FILE, ModelError)[:4000]
         licence = next(iter(re.findall(r"^licen[cs]e(?:_name)?:\s*(\S+)\s*$", header, re.MULTILINE)), "")
     names = [path.stem, *(parent.name for parent in path.absolute().parents)]
-    telling = next((each for each in names if each and not _GENERIC.match(each.lower())), "model")
-    name = re.sub(r"[^a-z0-9]+", "_", telling.lower()).strip("_") or "model"
+    telling = next((each.lower() for each in names if each and not _GENERIC.match(each.lower())), "model")
+    name = re.sub(r"[^a-z0-9]+", "_", telling).strip("_") or "model"
     stated = {"prompts": files} if (files := prompt_files(hub)) else {}
     return Source(path, name, stated, found["config"], found["preprocessor_config"], licence)
 

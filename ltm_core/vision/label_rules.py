@@ -33,29 +33,22 @@ def cie_lab(photo: UInt8Array) -> Float32Array:
     return np.asarray(lab, np.float32)
 
 
-_GREEN: Final = -0.01
-"""Redness up to which nothing is subtracted."""
+_GREEN: Final = -0.01  # redness up to which nothing is subtracted
 _RED: Final = 0.03
 """Redness above which the full amount is subtracted. Both were chosen, with the amounts in the manifest, on 166
 mountain photos that trained the shipped network and on renderings; scores of the tower views were visible meanwhile
 (docs/labels.md)."""
-_REACH: Final = 2 / 320
-"""Standard deviation of the Gaussian for averaging colours, as a share of the photo's width; it suppresses noise."""
-_DARK: Final = 4.0
-"""Grey levels added to the sum, because colour carries no information in dark areas."""
-
-
-def redness(image: UInt8Array, rows: int, cols: int) -> Float32Array:
-    """Return (rows, cols) redness of a photo (H, W, 3) RGB: red minus green over their sum; 0 if equal."""
-    small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
-    soft = cv2.GaussianBlur(small, (0, 0), _REACH * cols)
-    red, green = soft[..., 0], soft[..., 1]
-    return np.asarray((red - green) / (red + green + _DARK), np.float32)
+_REACH: Final = 2 / 320  # sigma of the Gaussian for averaging colours, share of the width; it suppresses noise
+_DARK: Final = 4.0  # grey levels added to the sum, because colour carries no information in dark areas
 
 
 def against_green(image: UInt8Array, rows: int, cols: int) -> Float32Array:
-    """Return (rows, cols) in 0..1: evidence of a photo (H, W, 3) RGB against green vegetation."""
-    return np.asarray(np.clip((redness(image, rows, cols) - _GREEN) / (_RED - _GREEN), 0.0, 1.0), np.float32)
+    """Return (rows, cols) in 0..1: evidence of a photo (H, W, 3) RGB against green vegetation, by its redness, red
+    minus green over their sum."""
+    small = cv2.resize(image, (cols, rows), interpolation=cv2.INTER_AREA).astype(np.float32)
+    red, green, _ = cv2.split(cv2.GaussianBlur(small, (0, 0), _REACH * cols))
+    redness = (red - green) / (red + green + _DARK)
+    return np.asarray(np.clip((redness - _GREEN) / (_RED - _GREEN), 0.0, 1.0), np.float32)
 
 
 _WINDOW = 13  # pixels of the working image
@@ -81,8 +74,7 @@ def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rule
 
 
 def contrast(image: UInt8Array) -> Float32Array:
-    """Return the standard deviation of grey within 13 pixels, in 8-bit steps, of the photo at a width of 512 (h, 512)
-    float32."""
+    """Return (h, 512) float32, the standard deviation of grey within 13 pixels of the photo at a width of 512."""
     height, width = image.shape[:2]
     small = working_image(image)
     if width < WORKING_WIDTH:  # contrast must mean the same for each camera
@@ -99,8 +91,7 @@ of the sky keeps it, so that a camera which turned unnoticed still shows its sky
 
 
 def less_likely(probabilities: Float32Array, label: int, where: BoolArray) -> None:
-    """Lower the odds of a label, by its index in the probabilities (K, h, w), in place, at the pixels `where` (rows,
-    columns) of the image."""
+    """Lower the odds of a label of probabilities (K, h, w), in place, at pixels `where` (rows, columns)."""
     size = probabilities.shape[:0:-1]
     chosen = cv2.resize(where.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     factor = np.where(chosen, np.float32(_UNLIKELY), np.float32(1))
@@ -111,8 +102,7 @@ def less_likely(probabilities: Float32Array, label: int, where: BoolArray) -> No
 
 class LabelAgreement(StrictModel):
     """Confidence by local agreement. `reach`: standard deviation of the Gaussian around a pixel as a share of the
-    image's width; 0: only the pixel itself. `exponent`: of the mean, so that it is the share of right labels; measured
-    on photos."""
+    image's width; 0: only the pixel itself. `exponent`: makes the mean the share of right labels, as measured."""
 
     reach: float = Field(default=0.0, ge=0, le=0.1)
     exponent: float = Field(default=1.0, gt=0, le=5)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -33,9 +33,12 @@ class Label(IntEnum):
     BUILT = 6
 
 
+_Channel = Annotated[int, Field(ge=0, le=255)]
+
+
 class _LabelEntry(StrictModel):
     id: int = Field(ge=0, lt=UNLABELLED)
-    color: tuple[int, int, int]
+    color: tuple[_Channel, _Channel, _Channel]
     ground_cover: bool
 
 
@@ -45,10 +48,9 @@ class _LabelFile(StrictModel):
 
 @dataclass(frozen=True)
 class LabelSet:
-    """The classes of label images; position in each tuple is the id.
-
-    `colors` are sRGB 0..255. `ground_cover` tells whether a pixel of the class is evidence of what covers the
-    ground (and so votes in fuel cells). Id 255 (`UNLABELLED`) is no class: nothing is known of the pixel."""
+    """The classes of label images; position in each tuple is the id. `colors` are sRGB 0..255. `ground_cover` tells
+    whether a pixel of the class is evidence of what covers the ground (and so votes in fuel cells). Id 255
+    (`UNLABELLED`) is no class: nothing is known of the pixel."""
 
     names: tuple[str, ...]
     colors: tuple[tuple[int, int, int], ...]
@@ -56,9 +58,8 @@ class LabelSet:
 
     @classmethod
     def load(cls, path: Path | None = None) -> "LabelSet":
-        """Read a label file, by default the `labels.yaml` that ships with the system.
-
-        Raises ConfigError: unknown or missing keys, ids with gaps, a built-in class that is absent or renumbered."""
+        """Read a label file, by default the `labels.yaml` that ships with the system. Raises ConfigError: unknown or
+        missing keys, ids with gaps, a built-in class that is absent or renumbered."""
         path = config_path("labels.yaml") if path is None else path
         entries = load_yaml(path, _LabelFile).labels
         by_id = sorted(entries.items(), key=lambda item: item[1].id)
@@ -67,20 +68,14 @@ class LabelSet:
             raise ConfigError(f"{path}: label ids are {ids}, expected each of 0..{len(ids) - 1} once")
         for label in Label:
             name = label.name.lower()
-            found = entries[name].id if name in entries else "no such label"
-            if found != label.value:
+            id_found = entries[name].id if name in entries else "no such label"
+            if id_found != label.value:
                 raise ConfigError(
-                    f"{path}: labels.{name}.id: found {found}, expected {label.value}; built-in ids are fixed, "
+                    f"{path}: labels.{name}.id: found {id_found}, expected {label.value}; built-in ids are fixed, "
                     "recorded label images use them (append classes of your own after them)"
                 )
-        for name, entry in by_id:
-            if not all(0 <= channel <= 255 for channel in entry.color):
-                raise ConfigError(f"{path}: labels.{name}.color is {list(entry.color)}, expected values of 0..255")
-        return cls(
-            names=tuple(name for name, _ in by_id),
-            colors=tuple(entry.color for _, entry in by_id),
-            ground_cover=tuple(entry.ground_cover for _, entry in by_id),
-        )
+        names, found = zip(*by_id, strict=True)
+        return cls(names, tuple(entry.color for entry in found), tuple(entry.ground_cover for entry in found))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -89,10 +84,9 @@ class LabelSet:
         """Return the id of a class name; `unlabelled` gives 255. Raises ConfigError for a name that is no class."""
         if name == "unlabelled":
             return UNLABELLED
-        try:
-            return self.names.index(name)
-        except ValueError:
-            raise ConfigError(f"no label {name!r}; labels: {', '.join(self.names)}, unlabelled") from None
+        if name not in self.names:
+            raise ConfigError(f"no label {name!r}; labels: {', '.join(self.names)}, unlabelled")
+        return self.names.index(name)
 
     def name_of(self, label: int) -> str:
         """Return the class name of an id; `unlabelled` for any id that is no class."""
@@ -107,12 +101,6 @@ class LabelSet:
 
     def info(self) -> dict[str, Any]:
         """Return the palette as JSON-ready values, for the latched topic `labels/info` and for reports."""
-        return {
-            "unlabelled": UNLABELLED,
-            "labels": [
-                {"id": index, "name": name, "color": list(color), "ground_cover": votes}
-                for index, (name, color, votes) in enumerate(
-                    zip(self.names, self.colors, self.ground_cover, strict=True)
-                )
-            ],
-        }
+        classes = enumerate(zip(self.names, self.colors, self.ground_cover, strict=True))
+        labels = [{"id": n, "name": name, "color": list(color), "ground_cover": c} for n, (name, color, c) in classes]
+        return {"unlabelled": UNLABELLED, "labels": labels}

@@ -15,24 +15,17 @@ from ltm_core.storage.config_io import checked, load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.network_image import InputSpec
 
-DEFAULT_MODEL: Final = "landscape_v3"
-"""Default segmentation network."""
-DEFAULT_DEPTH_MODEL: Final = "landscape_v3_depth"
-"""Default depth network: the second output of the same file."""
-
-
+DEFAULT_MODEL: Final = "landscape_v3"  # default segmentation network
+DEFAULT_DEPTH_MODEL: Final = "landscape_v3_depth"  # default depth network: the second output of the same file
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
 DEPTH_KINDS: Final[tuple[str, ...]] = ("relative_inverse", "affine_invariant", "metric")
 """Kinds of output with one depth per pixel; the others label pixels."""
 
-RECORDS: Final = "reliability"
-"""Folder beside manifests with the reliability records of their labels."""
-FUSION_SUFFIX: Final = "_fusion.yaml"
-"""Suffix of the file beside a manifest with the network's error model."""
+RECORDS: Final = "reliability"  # folder beside manifests with the reliability records of their labels
+FUSION_SUFFIX: Final = "_fusion.yaml"  # suffix of the file beside a manifest with the network's error model
 
-SHIPPED_LABEL_HEAD: Final = "landscape"
-"""Name of the label head that leaves the network's scores unchanged."""
+SHIPPED_LABEL_HEAD: Final = "landscape"  # name of the label head that leaves the network's scores unchanged
 
 
 class Withdrawal(StrictModel):
@@ -111,11 +104,9 @@ class OutputSpec(StrictModel):
 
 
 class TextSpec(StrictModel):
-    """Words of a network of kind `embeddings`.
-
-    `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K, dimensions) float; None: all come from the text
-    encoder in `prompts`. The score of a word at a pixel is `scale` times the cosine between the two vectors (LSeg 14.3,
-    CLIP 100)."""
+    """Words of a network of kind `embeddings`. `file`: NumPy `.npz` with `names` (K,) strings and `embeddings` (K,
+    dimensions) float; None: all come from the text encoder in `prompts`. The score of a word at a pixel is `scale`
+    times the cosine between the two vectors (LSeg 14.3, CLIP 100)."""
 
     file: Path | None = None
     dimensions: int = Field(gt=0)
@@ -133,10 +124,9 @@ class PromptSpec(StrictModel):
 class NetworkManifest(StrictModel):
     """Network file with the data needed to run and check it; YAML on disk.
 
-    `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out
-    is unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and
-    one of depth, that name different outputs. For a network of kind `embeddings` the words of `text` are the classes.
-    """
+    `mapping` gives each of the network's classes one of our label names (or `unlabelled`); a class it leaves out is
+    unlabelled. A depth network has neither classes nor mapping. One file may serve two manifests, one of labels and one
+    of depth, that name different outputs. For a network of kind `embeddings` the words of `text` are the classes."""
 
     name: str
     file: Path
@@ -158,42 +148,35 @@ class NetworkManifest(StrictModel):
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _classes_are_known(self) -> NetworkManifest:
-        strangers = sorted(set(self.output.offsets) - set(self.classes))
-        if strangers:
-            raise ValueError(f"output.offsets names {', '.join(strangers)}, not among classes")
-        strangers = sorted(set(self.output.redness) - set(self.classes))
-        if strangers:
-            raise ValueError(f"output.redness names {', '.join(strangers)}, not among classes")
-        if (self.text is not None) != (self.output.kind == "embeddings"):
-            raise ValueError("text belongs to output kind embeddings, and such a network needs it")
-        if self.text is not None and self.text.file is None and (self.prompts is None or not self.prompts.encoder):
-            raise ValueError("text needs file, or prompts with the text encoder")
-        if self.maps and self.output.kind != "logits":
-            raise ValueError(
-                f"maps belong to output kind logits, which heads correct; remove them for {self.output.kind}"
-            )
-        if min(self.maps.values(), default=1) < 1:
-            raise ValueError("maps: each has at least one channel")
-        if self.text is not None:
-            if self.classes:
-                raise ValueError("classes: the words of the text file are the classes; remove the key")
-            return self
-        if self.output.is_depth:
-            if self.classes or self.mapping:
-                raise ValueError(
-                    f"classes and mapping belong to labels; remove them for output kind {self.output.kind}"
-                )
-            return self
-        if not self.classes or not self.mapping:
-            absent = "classes" if not self.classes else "mapping"
-            raise ValueError(f"{absent}: missing; output kind {self.output.kind} needs it")
+    def _parts_fit_together(self) -> NetworkManifest:
+        out, text = self.output, self.text
+        labels = text is None and not out.is_depth
         repeated = sorted({name for name in self.classes if self.classes.count(name) > 1})
-        if repeated:
-            raise ValueError(f"classes has {', '.join(repeated)} more than once")
-        unknown = sorted(set(self.mapping) - set(self.classes))
-        if unknown:
-            raise ValueError(f"mapping names {', '.join(unknown)}, not among classes ({', '.join(self.classes)})")
+        rules: list[tuple[object, str]] = [
+            ((text is None) == (out.kind == "embeddings"), "text belongs to output kind embeddings, which needs it"),
+            (
+                text and not text.file and not (self.prompts and self.prompts.encoder),
+                "text needs file, or prompts with the text encoder",
+            ),
+            (self.maps and out.kind != "logits", f"maps belong to output kind logits; remove them for {out.kind}"),
+            (min(self.maps.values(), default=1) < 1, "maps: each has at least one channel"),
+            (text and self.classes, "classes: the words of the text file are the classes; remove the key"),
+            (
+                out.is_depth and (self.classes or self.mapping),
+                f"classes and mapping belong to labels; remove them for output kind {out.kind}",
+            ),
+            (labels and not self.classes, f"classes: missing; output kind {out.kind} needs it"),
+            (labels and not self.mapping, f"mapping: missing; output kind {out.kind} needs it"),
+            (repeated, f"classes has {', '.join(repeated)} more than once"),
+        ]
+        named = {"output.offsets": {*out.offsets}, "output.redness": {*out.redness}, "mapping": {*self.mapping}}
+        for key, names in named.items():
+            strangers = [] if text and key == "mapping" else sorted(names - set(self.classes))
+            message = f"{key} names {', '.join(strangers)}, not among classes ({', '.join(self.classes)})"
+            rules.append((strangers, message))
+        for broken, message in rules:
+            if broken:
+                raise ValueError(message)
         return self
 
     @classmethod
@@ -216,18 +199,17 @@ class NetworkManifest(StrictModel):
 
     @classmethod
     def find(cls, path_or_name: str | Path | NetworkManifest) -> NetworkManifest:
-        """Read a manifest by path (`*.yaml`) or by the name of one that ships in `config/models` or was added; a
-        manifest is returned as it is."""
+        """Read a manifest by path (`*.yaml`) or by its name in `config/models` or among those added."""
         if isinstance(path_or_name, NetworkManifest):
             return path_or_name
         text = str(path_or_name)
         if text.endswith((".yaml", ".yml")) or os.sep in text:
             return cls.load(Path(path_or_name))
-        path = next((p for p in (f / f"{text}.yaml" for f in (models_folder(), added_folder())) if is_file(p)), None)
-        if path is None:
-            names = ", ".join([*shipped_names(), *added_names()]) or "none"
-            raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
-        return cls.load(path)
+        for path in (folder / f"{text}.yaml" for folder in (models_folder(), added_folder())):
+            if is_file(path):
+                return cls.load(path)
+        names = ", ".join([*shipped_names(), *added_names()]) or "none"
+        raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
 
     def require(self, depth: bool) -> NetworkManifest:
         """Return the manifest if it is of a depth network (`depth`) or of a label network. Raises ModelError."""
@@ -240,11 +222,8 @@ class NetworkManifest(StrictModel):
         )
 
     def serving(self, head: str) -> NetworkManifest:
-        """Return the network used by a camera with this label head: itself, or the network of its heads
-        (`heads_of`).
-
-        One network may label best, and the maps of another may train the best heads. Raises ModelError if it is
-        missing."""
+        """Return the network used by a camera with this label head: itself, or the network of its heads (`heads_of`):
+        one network may label best, and the maps of another train the best heads. Raises ModelError if it is missing."""
         return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self
 
     @property
@@ -257,8 +236,7 @@ class NetworkManifest(StrictModel):
         return self.file_of(self.file)
 
     def text_file(self) -> Path:
-        """Return the path of the words' embeddings, found as the network is. Raises ModelError, also if there are
-        none."""
+        """Return the path of the words' embeddings, found as the network is. Raises ModelError, also without any."""
         if self.text is None or self.text.file is None:
             raise ModelError(f"model {self.name!r} has no file of text embeddings; its output is {self.output.kind}")
         return self.file_of(self.text.file)
@@ -271,14 +249,11 @@ class NetworkManifest(StrictModel):
 def find_file(file: Path, folder: Path, what: str, source: str = "") -> Path:
     """Return the path of a file beside a manifest in `folder`, else in a folder of `LTM_MODEL_PATH`, by path or bare
     name. `what` names the model and `source` the file's origin in the ModelError for a missing file."""
-    places = [folder / file]
-    if not file.is_absolute():
-        for other in filter(None, os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)):
-            places += [Path(other) / file, Path(other) / file.name]
-    for place in places:
-        if is_file(place):
-            return place
-    searched = ", ".join(dict.fromkeys(str(place) for place in places))
+    listed = [] if file.is_absolute() else os.environ.get(MODEL_PATH_VARIABLE, "").split(os.pathsep)
+    places = [folder / file, *(Path(other) / name for other in filter(None, listed) for name in (file, file.name))]
+    if found := next(filter(is_file, places), None):
+        return found
+    searched = ", ".join(dict.fromkeys(map(str, places)))
     origin = f" (source: {source})" if source else ""
     raise ModelError(
         f"{what}: no file {file}; searched {searched}. Put it in one of these places or name its folder in "

@@ -11,14 +11,8 @@ from ltm_core.base.strict_model import StrictModel, Written
 from ltm_core.cameras.plausibility import AzimuthDeg, PitchDeg
 
 MOST_POLYGONS = 200
-
-
-MOST_VIEW_MASKS = 64
-"""Maximum number of view masks of one camera."""
-
-
-MOST_POINTS = 2000
-"""Maximum number of points of one polygon."""
+MOST_VIEW_MASKS = 64  # maximum number of view masks of one camera
+MOST_POINTS = 2000  # maximum number of points of one polygon
 
 
 Point = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
@@ -27,9 +21,7 @@ Point = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(g
 class MaskPolygon(StrictModel):
     """One area that hides the landscape."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False, populate_by_name=True
-    )
+    model_config = ConfigDict(populate_by_name=True)
 
     kind: Written[str] = Field("", alias="class", max_length=80)
     """Kind of area: mast, lens, bar, caption, roof."""

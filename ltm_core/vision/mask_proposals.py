@@ -8,13 +8,12 @@ does not. The image above and below it must be smooth: over the texture of near 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Array
@@ -24,36 +23,23 @@ from ltm_core.vision.masks import fill
 from ltm_core.vision.overlays import fill_hidden, find_overlay
 
 WORKING_WIDTH = 640
-MOST_FRAMES = 24
-"""Number of images that are read; more images change no proposal."""
+MOST_FRAMES = 24  # number of images that are read; more images change no proposal
 
-_STRIP = 0.08
-"""Share of the height, at either edge, in which captions are searched."""
-_STROKE = 28
-"""Grey levels by which a stroke differs from its surroundings in any channel."""
-_LEAST_ROW = 0.012
-"""Minimum share of a row that is strokes."""
-_QUIET = 0.3
-"""Maximum of the rows beside a caption, in multiples of the caption's mean row."""
+_STRIP = 0.08  # share of the height, at either edge, in which captions are searched
+_STROKE = 28  # grey levels by which a stroke differs from its surroundings in any channel
+_LEAST_ROW = 0.012  # minimum share of a row that is strokes
+_QUIET = 0.3  # maximum of the rows beside a caption, in multiples of the caption's mean row
 _TALLEST = 0.06
 _LEAST_FRAMES = 0.6
 
-_PATCH = 0.02
-"""Side of the square in the corner that gives the hood's colour, as a share of the width."""
-_TOLERANCES = np.arange(5.0, 46.0, 2.0)
-"""Tolerances of a hood's colour in units of CIE Lab; the one with the sharpest edge is used."""
-_REACH = 0.5
-"""Maximum width of a corner, as a share of the width."""
-_LEAST_AREA, _MOST_AREA = 0.0015, 0.13
-"""Minimum and maximum area, as a share of the image."""
-_MOST_TEXTURE = 1.6
-"""Maximum median local contrast (Lab L) in a hood; land has more, and JPEG noise less."""
-_MOST_RESIDUAL = 0.014
-"""Maximum mean distance between the edge and the arc, as a share of the width."""
-_LEAST_EDGE = 0.9
-"""Minimum mean gradient at the edge in units of CIE Lab per pixel at a width of 640; that of a cloud is lower."""
-_PENUMBRA = 0.012
-"""Width by which a corner is enlarged, as a share of the width, because a hood's edge is out of focus."""
+_PATCH = 0.02  # side of the square in the corner that gives the hood's colour, as a share of the width
+_TOLERANCES = np.arange(5.0, 46.0, 2.0)  # of a hood's colour in CIE Lab; the one with the sharpest edge is used
+_REACH = 0.5  # maximum width of a corner, as a share of the width
+_LEAST_AREA, _MOST_AREA = 0.0015, 0.13  # minimum and maximum area, as a share of the image
+_MOST_TEXTURE = 1.6  # maximum median local contrast (Lab L) in a hood; land has more, and JPEG noise less
+_MOST_RESIDUAL = 0.014  # maximum mean distance between the edge and the arc, as a share of the width
+_LEAST_EDGE = 0.9  # minimum mean gradient at the edge, CIE Lab per pixel at a width of 640; that of a cloud is lower
+_PENUMBRA = 0.012  # width by which a corner is enlarged, as a share of the width, because a hood's edge is out of focus
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,26 +52,24 @@ class Proposal:
 
 
 def propose_mask(frames: Sequence[UInt8Array]) -> list[Proposal]:
-    """Propose areas to mask in images (H, W, 3) RGB of one fixed camera; images in different light work best.
-
-    The result is deterministic. Raises ImageError if the images differ in size or if there are none."""
-    shape = _common_shape(frames)
-    height, width = shape
-    small_width = min(WORKING_WIDTH, width)
-    count = "1 frame" if len(frames) == 1 else f"{len(frames)} frames"
-    overlays = [find_overlay(frame) for frame in frames]
-    there = [overlay for overlay in overlays if overlay is not None]
+    """Propose areas to mask in images (H, W, 3) RGB of one fixed camera; images in different light work best. The
+    result is deterministic. Raises ImageError if the images differ in size or if there are none."""
+    shapes = sorted({(frame.shape[1], frame.shape[0]) for frame in frames})
+    if len(shapes) != 1:
+        named = ", ".join(f"{width} x {height}" for width, height in shapes) or "there are none"
+        raise ImageError(f"the images have different sizes ({named}); give images of one camera only")
+    (width, height), count = shapes[0], "1 frame" if len(frames) == 1 else f"{len(frames)} frames"
+    there = [overlay for frame in frames if (overlay := find_overlay(frame)) is not None]
     found = []
     if len(there) >= _LEAST_FRAMES * len(frames):
         bars = np.asarray(np.mean(there, axis=0) > 0.5, np.bool_)
         found.append(Proposal("bar", bars, f"bar or frame of one colour with a straight edge, in {count}"))
         frames = [fill_hidden(frame, bars) for frame in frames]
-    size = small_width, max(1, round(height * small_width / width))
+    size = min(WORKING_WIDTH, width), max(1, round(height * min(WORKING_WIDTH, width) / width))
     small = [np.asarray(cv2.resize(frame, size, interpolation=cv2.INTER_AREA), np.uint8) for frame in frames]
-    found += [
-        Proposal("lens", _at(corner.hidden, shape), f"smooth corner bounded by an arc, in {count}")
-        for corner in lens_corners(small)
-    ]
+    for corner in lens_corners(small):
+        hidden = cv2.resize(corner.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
+        found.append(Proposal("lens", np.asarray(hidden), f"smooth corner bounded by an arc, in {count}"))
     return found + [
         Proposal("caption", strip, f"rows of letters in the same place, in {count}")
         for strip in _caption_strips(frames)
@@ -108,23 +92,6 @@ def drawn_proposals(areas: Sequence[NamedArea], names: Sequence[str], shape: tup
     return [Proposal(area.kind, h > 0, area.reason or "drawn by hand") for area, h in found if h.any()]
 
 
-def _common_shape(frames: Sequence[UInt8Array]) -> tuple[int, int]:
-    if not frames:
-        raise ImageError("no images to propose a mask from")
-    shapes = {frame.shape for frame in frames}
-    if len(shapes) > 1:
-        said = ", ".join(sorted(f"{shape[1]} x {shape[0]}" for shape in shapes))
-        raise ImageError(f"the images have different sizes ({said}); give images of one camera only")
-    return frames[0].shape[0], frames[0].shape[1]
-
-
-def _at(hidden: BoolArray, shape: tuple[int, ...]) -> BoolArray:
-    if hidden.shape == shape:
-        return hidden
-    resized = cv2.resize(hidden.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(resized > 0.5, np.bool_)
-
-
 def _caption_strips(frames: Sequence[UInt8Array]) -> list[BoolArray]:
     """Return (H, W) each, of images (H, W, 3) RGB of one camera at their own size."""
     height, width = frames[0].shape[:2]
@@ -140,10 +107,8 @@ def _caption_strips(frames: Sequence[UInt8Array]) -> list[BoolArray]:
         left, right = min(band[2] for band in there), max(band[3] for band in there)
         margin = max(2, round(0.4 * (last - first + 1)))  # tails of letters are few
         hidden = np.zeros((height, width), np.bool_)
-        above = part.start + first - margin
-        hidden[max(0, above) : part.start + last + 1 + margin, max(0, left - 2 * margin) : right + 1 + 2 * margin] = (
-            True
-        )
+        row, col = max(0, part.start + first - margin), max(0, left - 2 * margin)
+        hidden[row : part.start + last + 1 + margin, col : right + 1 + 2 * margin] = True
         strips.append(hidden)
     return strips
 
@@ -158,70 +123,46 @@ def _strokes(strip: UInt8Array) -> BoolArray:
 def _band(strokes: BoolArray, height: int) -> tuple[int, int, int, int] | None:
     """Return the first and last row, first and last column of the letters, where there are any."""
     share: Float64Array = strokes.mean(axis=1)
-    busy = share > _LEAST_ROW
-    if not busy.any():
-        return None
+    busy = (share > _LEAST_ROW).astype(np.uint8)[:, None]
     # The longest run of busy rows, small gaps (between a letter's strokes) closed.
     gap = max(1, round(0.003 * height))
-    closed = cv2.morphologyEx(busy.astype(np.uint8)[:, None], cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 1), np.uint8))
-    rows = np.asarray(closed).ravel()
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows, [0]])))
-    runs = edges.reshape(-1, 2)
-    first, end = max(runs, key=lambda run: share[run[0] : run[1]].sum())
+    rows = np.ravel(cv2.morphologyEx(busy, cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 1), np.uint8)))
+    runs = np.flatnonzero(np.diff(np.concatenate([[0], rows, [0]]))).reshape(-1, 2)
+    first, end = max(runs, key=lambda run: share[run[0] : run[1]].sum(), default=(0, 0))
     tall = end - first
     if not 4 <= tall <= _TALLEST * height:
         return None
-    inside = float(share[first:end].mean())
     beside = np.concatenate([share[max(0, first - tall) : max(0, first - 1)], share[end + 1 : end + tall]])
-    if len(beside) < tall // 2 or float(beside.mean()) > _QUIET * inside:
+    if len(beside) < tall // 2 or float(beside.mean()) > _QUIET * float(share[first:end].mean()):
         return None
-    columns = np.flatnonzero(strokes[first:end].any(axis=0))
+    written = np.asarray(strokes[first:end].any(axis=0), np.uint8)
+    columns = np.flatnonzero(written)
+    left, right = int(columns[0]), int(columns[-1])
     # Letters follow each other: most of the width between the first and the last is not empty.
-    spread = int(columns[-1]) - int(columns[0]) + 1
-    written = np.asarray(strokes[first:end].any(axis=0), np.uint8)[None]
-    filled = np.asarray(cv2.dilate(written, np.ones((1, 2 * tall + 1), np.uint8))).ravel()
-    if spread < 4 * tall or float(filled[columns[0] : columns[-1] + 1].mean()) < 0.8:
+    filled = np.ravel(cv2.dilate(written[None], np.ones((1, 2 * tall + 1), np.uint8)))
+    if right - left + 1 < 4 * tall or float(filled[left : right + 1].mean()) < 0.8:
         return None
-    return int(first), int(end - 1), int(columns[0]), int(columns[-1])
+    return int(first), int(end - 1), left, right
 
 
-@dataclass(frozen=True, eq=False)
-class LensCorner:
-    """`hidden`: (H, W). `edge`: mean gradient at its edge, units of CIE Lab a pixel at a width of 640."""
-
-    hidden: BoolArray
-    edge: float
-
-
-def lens_corners(frames: Sequence[UInt8Array]) -> list[LensCorner]:
-    """Find lens corners in images (H, W, 3) RGB of one camera, about 640 pixels wide; deterministic."""
-    labs = [_lab(frame) for frame in frames]
+def lens_corners(frames: Sequence[UInt8Array]) -> list[BoolArray]:
+    """Find lens corners (H, W) in images (H, W, 3) RGB of one camera, about 640 pixels wide; deterministic."""
+    labs = [cie_lab(np.asarray(cv2.GaussianBlur(frame, (0, 0), 1.5), np.uint8)) for frame in frames]
     found = []
-    for up in (True, False):
-        for left in (True, False):
-            turned = [_to_top_left(lab, up, left) for lab in labs]
-            corner = _top_left(turned)
+    for down in (1, -1):
+        for right in (1, -1):  # flipped so that the corner is the top left one; flipped again it is as it was
+            corner = _top_left([lab[::down, ::right] for lab in labs])
             if corner is not None:
-                hidden = np.ascontiguousarray(_to_top_left(corner.hidden, up, left))
-                found.append(LensCorner(hidden, corner.edge))
+                found.append(np.ascontiguousarray(corner[::down, ::right]))
     return found
 
 
-def _lab(frame: UInt8Array) -> Float32Array:
-    return cie_lab(np.asarray(cv2.GaussianBlur(frame, (0, 0), 1.5), np.uint8))
-
-
-def _to_top_left(values: NDArray[Any], up: bool, left: bool) -> NDArray[Any]:
-    """Flipped so that a corner is the top left one; flipped again it is as it was."""
-    return values[:: 1 if up else -1, :: 1 if left else -1]
-
-
-def _top_left(labs: Sequence[Float32Array]) -> LensCorner | None:
+def _top_left(labs: Sequence[Float32Array]) -> BoolArray | None:
+    """Return the lens corner with the sharpest edge."""
     height, width = labs[0].shape[:2]
     side = max(3, round(_PATCH * width))
-    away = np.zeros((height, width), np.float32)  # from the hood's colour, mean of the frames
-    gradient = np.zeros((height, width), np.float32)
-    texture = np.zeros((height, width), np.float32)
+    # Distance from the hood's colour, gradient and texture: means of the frames.
+    away, gradient, texture = (np.zeros((height, width), np.float32) for _ in range(3))
     for lab in labs:
         hood = np.median(lab[:side, :side].reshape(-1, 3), axis=0)
         away += np.linalg.norm(lab - hood, axis=2).astype(np.float32) / len(labs)
@@ -229,16 +170,12 @@ def _top_left(labs: Sequence[Float32Array]) -> LensCorner | None:
         gradient += np.sqrt((across**2 + down**2).sum(axis=2)) / (8 * len(labs))
         light = np.ascontiguousarray(lab[..., 0])
         texture += np.abs(light - cv2.GaussianBlur(light, (0, 0), 3.0)) / len(labs)
-    best: LensCorner | None = None
-    for tolerance in _TOLERANCES:
-        corner = _within(away < tolerance, gradient, texture)
-        if corner is not None and (best is None or corner.edge > best.edge):
-            best = corner
-    return best
+    corners = [c for t in _TOLERANCES if (c := _within(away < t, gradient, texture)) is not None]
+    return max(corners, key=lambda corner: corner[1])[0] if corners else None
 
 
-def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> LensCorner | None:
-    """Return the region of one colour in the top left corner, if it is one that a hood would have."""
+def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> tuple[BoolArray, float] | None:
+    """Return the region of one colour in the top left corner, if it may be a hood, and the gradient at its edge."""
     height, width = near.shape
     # Letters on the hood are closed; thin bridges to the sky are cut.
     size = max(3, round(0.012 * width))
@@ -254,9 +191,8 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
     if not _LEAST_AREA < area < _MOST_AREA:
         return None
     rows, cols = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
-    if cols[-1] > _REACH * width or rows[-1] > 0.97 * height:
-        return None
-    if float(np.median(texture[region])) > _MOST_TEXTURE:
+    far = cols[-1] > _REACH * width or rows[-1] > 0.97 * height
+    if far or float(np.median(texture[region])) > _MOST_TEXTURE:
         return None
     inner = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0
     edge = region & ~inner
@@ -264,30 +200,18 @@ def _within(near: BoolArray, gradient: Float32Array, texture: Float32Array) -> L
     v, u = np.nonzero(edge)
     if len(u) < 10:
         return None
-    arc = _arc(np.column_stack([u, v]).astype(np.float64))
-    if arc is None:
-        return None
-    middle, radius, residual = arc
-    # The image's middle lies on the inner side of the arc, and it bends about it.
-    inside = np.hypot(width / 2 - middle[0], height / 2 - middle[1]) < radius
+    # A circle through the edge, by least squares. The image's middle lies on its inner side, and it bends about it.
+    matrix = np.column_stack([2 * u, 2 * v, np.ones(len(u))])
+    x, y, rest = np.linalg.lstsq(matrix, (u**2 + v**2).astype(np.float64), rcond=None)[0].tolist()
+    radius = math.sqrt(max(rest + x**2 + y**2, 0.0))
+    residual = float(np.abs(np.hypot(u - x, v - y) - radius).mean())
+    inside = math.hypot(width / 2 - x, height / 2 - y) < radius
+    strength = float(gradient[edge].mean())
     if not inside or residual > _MOST_RESIDUAL * width or not 0.25 * width < radius < 3.0 * width:
         return None
-    strength = float(gradient[edge].mean())
     if strength < _LEAST_EDGE:
         return None
     all_rows, all_cols = np.mgrid[0:height, 0:width]
-    beyond = np.hypot(all_cols - middle[0], all_rows - middle[1]) > radius - _PENUMBRA * width
+    beyond = np.hypot(all_cols - x, all_rows - y) > radius - _PENUMBRA * width
     window = (all_rows <= rows[-1] + 2 * size) & (all_cols <= cols[-1] + 2 * size)
-    return LensCorner(beyond & window, strength)
-
-
-def _arc(points: Float64Array) -> tuple[Float64Array, float, float] | None:
-    """Return the middle (u, v), radius and mean residual of a circle through points (N, 2), by least squares."""
-    matrix = np.column_stack([2 * points, np.ones(len(points))])
-    solution = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0]
-    square = solution[2] + solution[0] ** 2 + solution[1] ** 2
-    if square <= 0:
-        return None
-    radius = float(np.sqrt(square))
-    residual = float(np.abs(np.hypot(*(points - solution[:2]).T) - radius).mean())
-    return solution[:2], radius, residual
+    return beyond & window, strength

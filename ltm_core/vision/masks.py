@@ -7,7 +7,7 @@ in one view holds where the camera looks there again, with the lens as wide; any
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,13 +22,12 @@ from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.storage.image_io import read_values
-from ltm_core.vision.mask_config import MaskPolygon, ViewMask
+from ltm_core.vision.mask_config import MaskConfig, MaskPolygon, ViewMask
 
 
 @dataclass(frozen=True, eq=False)
 class CameraMask:
     """Mask of a camera. `hidden`: (H, W) bool, True where the landscape is never visible. `place`: its name in errors.
-
     Raises ConfigError for a mask that hides nothing, or everything."""
 
     hidden: BoolArray
@@ -38,10 +37,7 @@ class CameraMask:
         if not self.hidden.any():
             raise ConfigError(f"{self.place}: the mask hides nothing; draw an area, or remove the key")
         if self.hidden.all():
-            raise ConfigError(
-                f"{self.place}: the mask hides the whole image; non-zero pixels of the PNG are masked, so it may be "
-                "inverted"
-            )
+            raise ConfigError(f"{self.place}: the mask hides the whole image; it may be inverted (non-zero is masked)")
 
     @classmethod
     def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> CameraMask:
@@ -50,10 +46,8 @@ class CameraMask:
         for number, polygon in enumerate(polygons):
             points = np.array(polygon.polygon, np.float64)
             if (points.max(axis=0) < -0.5).any() or (points.min(axis=0) > (width - 0.5, height - 0.5)).any():
-                raise ConfigError(
-                    f"{place}.{number}: the polygon is outside the image of {width} x {height} pixels (it spans "
-                    f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()})"
-                )
+                spans = f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()}"
+                raise ConfigError(f"{place}.{number}: the polygon is outside the image of {width} x {height} ({spans})")
             fill(drawn, points.tolist())
         return cls(drawn > 0, place)
 
@@ -67,14 +61,6 @@ class CameraMask:
         """Return the size (width, height)."""
         return self.hidden.shape[1], self.hidden.shape[0]
 
-    def check_size(self, width: int, height: int) -> None:
-        """Raise ConfigError if the camera's images have another size."""
-        if self.size != (width, height):
-            raise ConfigError(
-                f"{self.place}: the mask has {self.size[0]} x {self.size[1]} pixels, but the camera's images have "
-                f"{width} x {height}; draw it again in that size (`ltm mask`)"
-            )
-
 
 def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) -> None:
     """Set the pixels (H, W) whose centres a polygon of (u, v) covers, its edge included."""
@@ -82,35 +68,50 @@ def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) 
     cv2.fillPoly(drawn, [points.reshape(-1, 1, 2)], [value])
 
 
-def read_mask(path: Path, place: str) -> CameraMask:
-    """Read a single-channel PNG in which non-zero pixels are masked. `place`: the key that names it, for errors.
+class MaskMaker:
+    """Mask of a key of the site file, `place`: call it with the size (width, height) of the images. A PNG, of its own
+    `size` only, is kept as bits, because a patrol has many views. Raises ConfigError for another format, nothing or
+    everything masked, and, when called, for another size."""
 
-    Raises ConfigError: no such image, another format, colours or an alpha channel, nothing or everything masked."""
-    try:
-        values = read_values(path)
-    except ImageError as error:
-        raise ConfigError(f"{place}: {error}") from error
-    if values.ndim != 2:
-        raise ConfigError(
-            f"{place}: {path} has colours or transparency ({values.shape[2]} channels); a mask is a single-channel "
-            "PNG, 0 where the landscape is seen"
-        )
-    hidden = values != 0
-    return CameraMask(hidden, f"{place}: {path}")
+    def __init__(self, config: MaskConfig, place: str) -> None:
+        self._polygons, self._place = config if isinstance(config, tuple) else (), place
+        self.size: tuple[int, int] | None = None
+        """Width and height; None: any."""
+        if isinstance(config, tuple):
+            return
+        try:
+            values = read_values(config)
+        except ImageError as error:
+            raise ConfigError(f"{place}: {error}") from error
+        if values.ndim != 2:
+            raise ConfigError(
+                f"{place}: {config} has colours or transparency ({values.shape[2]} channels); a mask is a "
+                "single-channel PNG, 0 where the landscape is seen"
+            )
+        self._place = f"{place}: {config}"
+        self.size = CameraMask(values != 0, self._place).size
+        self._bits: UInt8Array = np.packbits(values != 0)
+
+    def __call__(self, width: int, height: int) -> CameraMask:
+        if self.size is None:
+            return CameraMask.of_polygons(self._polygons, width, height, self._place)
+        if self.size != (width, height):
+            raise ConfigError(
+                f"{self._place}: the mask has {self.size[0]} x {self.size[1]} pixels, but the camera's images have "
+                f"{width} x {height}; draw it again in that size (`ltm mask`)"
+            )
+        hidden = np.unpackbits(self._bits, count=width * height).reshape(height, width)
+        return CameraMask(hidden.astype(np.bool_), self._place)
 
 
 def write_mask(path: Path, hidden: BoolArray) -> None:
-    """Write (H, W) bool as a PNG that `read_mask` takes: 255 where masked."""
+    """Write (H, W) bool as a PNG that `MaskMaker` takes: 255 where masked."""
     Image.fromarray(np.where(hidden, 255, 0).astype(np.uint8)).save(path, "PNG", optimize=True)
 
 
-MakeMask = Callable[[int, int], CameraMask]
-"""Function that returns the mask for images of a size (width, height). It raises ConfigError if the mask does not fit.
-"""
-
+MakeMask = Callable[[int, int], CameraMask]  # for images of a size (width, height), as `MaskMaker`
 _ZOOM = 0.03
-"""Relative difference of the field of view within which a view mask applies; at the image's edge, it shifts by 1.5 % of
-the width."""
+"""Relative difference of the field of view within which a view mask applies: 1.5 % of the width at the edge."""
 
 
 @dataclass(frozen=True)
@@ -140,37 +141,8 @@ class Looking:
         return math.degrees(2 * math.asin(math.sqrt(min(half, 1.0))))
 
 
-class ViewMasks:
-    """Masks by view. `views`: as in the site file, each with the function that makes its mask. Raises as these for an
-    invalid known `size` (width, height)."""
-
-    def __init__(self, views: Mapping[ViewMask, MakeMask], size: tuple[int, int] | None = None) -> None:
-        self._views = dict(views)
-        if size is not None:
-            for make in self._views.values():
-                make(*size)
-
-    def at(self, looking: Looking) -> ViewMask | None:
-        """Return the nearest view in that direction; None: none."""
-        off = {view: looking.off_deg(view) for view in self._views}
-        near = [view for view, angle in off.items() if angle <= view.within_deg]
-        return min(near, key=off.__getitem__, default=None)
-
-    def mask(self, view: ViewMask, width: int, height: int) -> CameraMask:
-        """Return the mask. Raises ConfigError if it cannot have this size."""
-        return self._views[view](width, height)
-
-
-def packed(mask: CameraMask) -> MakeMask:
-    """Return the function for a mask that was read, valid for its own size only. It is kept as bits, because a patrol
-    has many views."""
-    size, place = mask.size, mask.place
-    bits: UInt8Array = np.packbits(mask.hidden)
-
-    def make(width: int, height: int) -> CameraMask:
-        # The mask itself reports a wrong size.
-        whole = CameraMask(np.unpackbits(bits, count=size[0] * size[1]).reshape(size[::-1]).astype(np.bool_), place)
-        whole.check_size(width, height)
-        return whole
-
-    return make
+def nearest_view(views: Iterable[ViewMask], looking: Looking) -> ViewMask | None:
+    """Return the nearest view in that direction; None: none."""
+    off = {view: looking.off_deg(view) for view in views}
+    near = [view for view, angle in off.items() if angle <= view.within_deg]
+    return min(near, key=off.__getitem__, default=None)

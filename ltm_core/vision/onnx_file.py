@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
@@ -11,23 +12,15 @@ from typing import Final
 from ltm_core.base.errors import ModelError
 from ltm_core.storage.disk_io import is_file
 
-_FIELDS: Final[dict[str, dict[int, str]]] = {
-    "model": {7: "graph", 25: "function"},
-    "graph": {1: "node", 5: "tensor", 15: "sparse"},
-    "function": {7: "node"},
-    "node": {5: "attribute"},
-    "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
-    "sparse": {1: "tensor", 2: "tensor"},
-    "tensor": {13: "entry"},
-    "entry": {1: "key", 2: "value"},
-}
-"""Messages of `onnx.proto` on the way to a tensor's external data, by field number."""
+_LENGTH: Final = rb"([\x80-\xff]?[\x00-\x7f])"
+_LOCATION: Final = re.compile(rb"\x6a" + _LENGTH + rb"\x0a\x08location\x12" + _LENGTH)
+"""A tensor's entry of external data (`TensorProto.external_data`, key and value) as all exporters write it."""
+_ANY_LOCATION: Final = re.compile(rb"\x0a(?:\x08|\x88\x80*\x00)location")
 
 
 @dataclass(frozen=True)
 class NetworkFile:
     """An ONNX file. `weights`: the names of the files with its external weights, relative to its folder, sorted.
-
     `digest`: the SHA-256 of the file (`sha256sum`), or with external weights that of one line per file, `<sha256>
     <name>`, the ONNX file first with an empty name."""
 
@@ -58,64 +51,25 @@ def file_digest(path: Path) -> str:
 
 
 def _weights(path: Path, content: bytes) -> tuple[str, ...]:
-    try:
-        names = sorted(set(_locations(memoryview(content), "model")))
-    except (ValueError, IndexError, RecursionError):
-        return ()
-    for name in names:
+    """Return the names of the external files. Entries in an unusual form are rejected: nothing outside is read."""
+    names, odd = set(), len(_ANY_LOCATION.findall(content))
+    for match in _LOCATION.finditer(content):
+        entry, size = (part[0] if len(part) == 1 else part[0] & 127 | part[1] << 7 for part in match.groups())
+        value = content[match.end() : match.end() + size]
+        if entry == match.end() - match.end(1) + size and len(value) == size:
+            names.add(value.decode("utf-8", "replace"))
+            odd -= 1
+    if odd:
+        raise ModelError(f"{path}: names files with weights in an unusual form; export the network again")
+    for name in sorted(names):
         if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
             raise ModelError(f"{path}: its weights are in {name!r}, outside its folder; export the network again")
-        if not is_file(path.parent / name):
-            raise ModelError(f"{path}: its weights are in {name}, which is missing; put that file beside it")
-    return tuple(names)
+        if "\0" in name or not is_file(path.parent / name):
+            raise ModelError(f"{path}: its weights are in {name!r}, which is missing; put that file beside it")
+    return tuple(sorted(names))
 
 
-def _locations(message: memoryview, kind: str) -> Iterator[str]:
-    """Yield each external location in a message of this kind. Raises ValueError or IndexError for another format."""
-    if kind == "entry":
-        entry = {_FIELDS[kind].get(number): bytes(part) for number, part in _parts(message)}
-        if entry.get("key") == b"location":
-            yield entry.get("value", b"").decode()
-        return
-    for number, part in _parts(message):
-        if (inner := _FIELDS[kind].get(number)) is not None:
-            yield from _locations(part, inner)
-
-
-def _parts(message: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield number and content of each length-delimited field of a Protocol Buffers message."""
-    at = 0
-    while at < len(message):
-        key, at = _varint(message, at)
-        wire = key & 7
-        if wire == 0:
-            _, at = _varint(message, at)
-        elif wire in (1, 5):
-            at += 8 if wire == 1 else 4
-        elif wire == 2:
-            size, at = _varint(message, at)
-            if at + size > len(message):
-                raise ValueError("field longer than its message")
-            yield key >> 3, message[at : at + size]
-            at += size
-        else:
-            raise ValueError(f"wire type {wire}")
-
-
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = message[at]
-        value |= (byte & 0x7F) << shift
-        shift, at = shift + 7, at + 1
-        if byte < 0x80:
-            return value, at
-        if shift > 63:
-            raise ValueError("number too long")
-
-
-_TEXT_ENCODERS = ("text_model.onnx", "text_encoder.onnx", "textual.onnx")
-"""Names under which hubs keep the text encoder of a network."""
+_TEXT_ENCODERS = ("text_model.onnx", "text_encoder.onnx", "textual.onnx")  # as hubs name them
 
 
 def network_in(folder: Path) -> Path:

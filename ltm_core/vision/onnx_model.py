@@ -26,15 +26,14 @@ from ltm_core.vision.onnx_file import NetworkFile
 _Outputs = dict[str, npt.NDArray[Any]]
 _Run = Callable[[list[str]], list[npt.NDArray[Any]]]
 
-_PICTURES: Final = 4
-"""Maximum number of cached images whose other outputs are pending, one per camera in flight; the oldest unused one is
-dropped."""
+_PICTURES: Final = 4  # maximum number of cached images with pending outputs, one per camera in flight
 
 
 class SharedRuns:
-    """Shared runs of one file, thread-safe; each output is given to one user, which may modify it."""
+    """A file in memory and its runs, thread-safe; each output is given to one user, which may modify it."""
 
-    def __init__(self) -> None:
+    def __init__(self, session: Any = None) -> None:
+        self.session = session
         self._lock = threading.Lock()
         self._asked: WeakKeyDictionary[object, str] = WeakKeyDictionary()
         self._waiting: deque[tuple[npt.NDArray[Any], _Outputs]] = deque(maxlen=_PICTURES)
@@ -45,8 +44,7 @@ class SharedRuns:
             self._asked[owner] = output
 
     def run(self, tensor: npt.NDArray[Any], outputs: Sequence[str], compute: _Run) -> list[npt.NDArray[Any]]:
-        """Return these outputs of an image's tensor, which must not change meanwhile; `compute` returns outputs by
-        name."""
+        """Return outputs of an image's tensor, which must not change meanwhile; `compute` returns outputs by name."""
         with self._lock:
             others = [name for name in dict.fromkeys(self._asked.values()) if name not in outputs]
             for place, (of, parts) in enumerate(self._waiting):
@@ -63,25 +61,18 @@ class SharedRuns:
         return made[: len(outputs)]
 
 
-_loaded: WeakValueDictionary[tuple[str, int, str], _Loaded] = WeakValueDictionary()
+_loaded: WeakValueDictionary[tuple[str, int, str], SharedRuns] = WeakValueDictionary()
 _one_at_a_time = threading.Lock()
 
 _FLOATS: Final = ("tensor(float)", "tensor(float16)", "tensor(double)")
-
-
-class _Loaded:
-    """A file in memory."""
-
-    def __init__(self, session: ort.InferenceSession) -> None:
-        self.session, self.runs = session, SharedRuns()
 
 
 class OnnxModel:
     """Network of a manifest; the checksum and tensors of its file are compared with the manifest.
 
     Several threads may run it at once. A file is in memory once a process, for all who open it with as many threads;
-    what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, a
-    image is run once for all of them (`shared_runs`).
+    what runs need meanwhile is given back to one heap of all networks. Where they ask it for different outputs, an
+    image is run once for all of them (`SharedRuns`).
 
     Raises ModelError, with what was expected and what was found, when the file is absent, has another checksum,
     is not an ONNX network that the runtime can load, or has other inputs or outputs."""
@@ -101,7 +92,7 @@ class OnnxModel:
         with _one_at_a_time:
             loaded = _loaded.get(key)
             if loaded is None:
-                loaded = _loaded[key] = _Loaded(open_session(file, self.path, threads))
+                loaded = _loaded[key] = SharedRuns(open_session(file, self.path, threads))
         self._loaded, self._session = loaded, loaded.session
         self._constants: dict[str, npt.NDArray[Any]] = {}
         self._camera: Any = None
@@ -110,19 +101,16 @@ class OnnxModel:
         # A file with heads of labels and of depth computes only the one that is asked for.
         self._options = ort.RunOptions()
         self._options.only_execute_path_to_fetches = True
-        loaded.runs.join(self, self._output_name)
+        loaded.join(self, self._output_name)
 
     def run(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> npt.NDArray[Any]:
-        """Run the network on a tensor of the manifest's input shape and dtype, and return its output tensor; arguments
-        and errors as of `outputs`."""
+        """Run the network and return its output tensor; arguments and errors as of `outputs`."""
         return np.asarray(self.outputs(tensor, matrix)[0])
 
     def outputs(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> list[npt.NDArray[Any]]:
         """Run the network, and return its output tensor and those that the manifest names beside it, in that order;
-        float16 and float64 as float32.
-
-        `matrix`: (3, 3) camera matrix in pixels of the input, for a manifest that names an input for it. Raises
-        ModelError if the network needs it and it is missing."""
+        float16 and float64 as float32. `matrix`: (3, 3) camera matrix in pixels of the input, for a manifest that names
+        an input for it. Raises ModelError if the network needs it and it is missing."""
         names = [self._output_name, *self.manifest.output.beside]
         if self._camera is None:
             return self._shared(tensor, names)
@@ -133,9 +121,8 @@ class OnnxModel:
     def run_with_maps(
         self, tensor: npt.NDArray[Any], maps: Sequence[str]
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
-        """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs.
-
-        Raises ModelError where the file gives something else by such a name."""
+        """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs. Raises
+        ModelError for other maps."""
         output, *found = self._shared(tensor, [self._output_name, *maps])
         for name, values in zip(maps, found, strict=True):
             channels = self.manifest.maps.get(name)
@@ -144,7 +131,7 @@ class OnnxModel:
         return np.asarray(output), [np.ascontiguousarray(values[0], np.float32) for values in found]
 
     def _shared(self, tensor: npt.NDArray[Any], outputs: list[str]) -> list[Any]:
-        return self._loaded.runs.run(tensor, outputs, lambda names: self._run(names, self._feed(tensor)))
+        return self._loaded.run(tensor, outputs, lambda names: self._run(names, self._feed(tensor)))
 
     def _feed(self, tensor: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         return image_feed(self._image, tensor, self._constants)
@@ -162,8 +149,7 @@ class OnnxModel:
 
     def _checked_inputs(self) -> Any:
         """Return the input node of the image, and keep those of the camera and the constants."""
-        spec = self.manifest.input
-        nodes = {node.name: node for node in self._session.get_inputs()}
+        spec, nodes = self.manifest.input, {node.name: node for node in self._session.get_inputs()}
         if spec.intrinsics is not None:
             camera = nodes.pop(self._named(spec.intrinsics, list(nodes), "input for the camera"))
             numbers = [size for size in camera.shape if isinstance(size, int) and size != 1]
@@ -182,9 +168,8 @@ class OnnxModel:
         node = nodes[name]
         if DTYPES.get(node.type) != np.dtype(spec.dtype):
             raise self._wrong(f"input {name!r}: type", spec.dtype, node.type)
-        shape = (
-            [node.shape[0], *node.shape[2:]] if len(node.shape) == 5 and _fits(node.shape[1:2], (1,)) else node.shape
-        )
+        views = len(node.shape) == 5 and _fits(node.shape[1:2], (1,))
+        shape = [node.shape[0], *node.shape[2:]] if views else node.shape
         if not _fits(shape, spec.shape):
             expected = f"{list(spec.shape)} ({spec.layout}, {spec.width} x {spec.height})"
             raise self._wrong(f"input {name!r}: shape", expected, node.shape)
@@ -194,45 +179,42 @@ class OnnxModel:
         return node
 
     def _checked_output(self) -> str:
-        spec = self.manifest.output
-        nodes = {node.name: node for node in self._session.get_outputs()}
+        spec, nodes = self.manifest.output, {node.name: node for node in self._session.get_outputs()}
         name = self._named(spec.name, list(nodes), "output")
-        for wanted in self.manifest.maps:
-            self._named(wanted, list(nodes), "map")
-        for wanted in spec.beside:
-            self._named(wanted, list(nodes), "output")
+        for what, wanted in (("map", self.manifest.maps), ("output", spec.beside)):
+            for each in wanted:
+                self._named(each, list(nodes), what)
         node = nodes[name]
-        shape = node.shape
+        shape, text, labels = node.shape, self.manifest.text, f"a float tensor of {spec.kind}"
         if spec.kind == "ids":
-            if not node.type.startswith(("tensor(int", "tensor(uint")):
-                raise self._wrong(f"output {name!r}: type", "an integer tensor of class ids", node.type)
-            if len(shape) not in (0, 2, 3, 4):
-                raise self._wrong(f"output {name!r}: shape", "[1, height, width]", shape)
-            return name
-        if node.type not in _FLOATS:
-            raise self._wrong(f"output {name!r}: type", f"a float tensor of {spec.kind}", node.type)
+            labels, fits = "an integer tensor of class ids", node.type.startswith(("tensor(int", "tensor(uint"))
+        else:
+            fits = node.type in _FLOATS
+        if not fits:
+            raise self._wrong(f"output {name!r}: type", labels, node.type)
+        count = len(self.manifest.classes) if text is None else text.dimensions
         if not shape:  # not stated: what comes out is checked
             return name
-        if spec.is_depth:
+        if spec.kind == "ids":
+            expected, fits = "[1, height, width]", len(shape) in (2, 3, 4)
+        elif spec.is_depth:
             axes = [size for size in shape if size != 1]
-            if len(axes) > 2 and not any(isinstance(size, str | None) or size == 3 for size in axes):
-                raise self._wrong(f"output {name!r}: shape", "[1, h, w], one channel or 3-D points", shape)
-            return name
-        if spec.kind == "masks":
-            if len(shape) != 4:
-                raise self._wrong(f"output {name!r}: shape", "[1, queries, h, w]", shape)
-            return name
-        text = self.manifest.text
-        count = len(self.manifest.classes) if text is None else text.dimensions
-        allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
-        if len(shape) == 3:  # tokens of a vision tower, or one run per class
-            channels = shape[2] if text is not None else count if rows_of(self._constants) == count else None
+            expected = "[1, h, w], one channel or 3-D points"
+            fits = len(axes) < 3 or any(isinstance(size, str | None) or size == 3 for size in axes)
+        elif spec.kind == "masks":
+            expected, fits = "[1, queries, h, w]", len(shape) == 4
         else:
-            channels = shape[1 if spec.layout == "NCHW" else 3] if len(shape) == 4 else None
-        if len(shape) not in (3, 4) or channels is None or (isinstance(channels, int) and channels not in allowed):
+            allowed = (count, 1) if spec.kind == "probabilities" and count == 2 else (count,)
+            if len(shape) == 3:  # tokens of a vision tower, or one run per class
+                channels = shape[2] if text is not None else count if rows_of(self._constants) == count else None
+            else:
+                channels = shape[1 if spec.layout == "NCHW" else 3] if len(shape) == 4 else None
             what = "classes" if text is None else "dimensions of text.dimensions"
-            expected = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
-            raise self._wrong(f"output {name!r}: shape", f"{expected} ({spec.layout}, {count} {what})", shape)
+            axes_of = f"[1, {count}, h, w]" if spec.layout == "NCHW" else f"[1, h, w, {count}]"
+            expected = f"{axes_of} ({spec.layout}, {count} {what})"
+            fits = channels is not None and (not isinstance(channels, int) or channels in allowed)
+        if not fits:
+            raise self._wrong(f"output {name!r}: shape", expected, shape)
         return name
 
     def _named(self, wanted: str | None, present: list[str], what: str) -> str:
@@ -263,9 +245,8 @@ def _share_arena() -> None:
 
 
 def open_session(file: NetworkFile, path: Path, threads: int = 1) -> ort.InferenceSession:
-    """Load the network of a file at `path`, whose external weights lie beside it. Raises ModelError.
-
-    Callers of several threads hold a lock."""
+    """Load the network of a file at `path`, whose external weights lie beside it. Raises ModelError. Callers of several
+    threads hold a lock."""
     _share_arena()
     options = ort.SessionOptions()
     options.add_session_config_entry("session.use_env_allocators", "1")
@@ -280,14 +261,12 @@ def open_session(file: NetworkFile, path: Path, threads: int = 1) -> ort.Inferen
         return ort.InferenceSession(what, sess_options=options, providers=["CPUExecutionProvider"])
     # The runtime's errors have no common base but Exception; each of them means that this file cannot be run.
     except Exception as reason:
-        raise ModelError(
-            f"{path}: expected an ONNX network, found {len(file.content)} bytes that ONNX Runtime "
-            f"{ort.__version__} rejects: {reason}"
-        ) from reason
+        found = f"{len(file.content)} bytes that ONNX Runtime {ort.__version__} rejects"
+        raise ModelError(f"{path}: expected an ONNX network, found {found}: {reason}") from reason
 
 
 def _fits(found: list[int | str | None], expected: tuple[int, ...]) -> bool:
     """Return whether a graph's shape (names and None are free axes) takes a tensor of the expected shape."""
-    return len(found) == len(expected) and all(
-        not isinstance(size, int) or size == want for size, want in zip(found, expected, strict=True)
-    )
+    if len(found) != len(expected):
+        return False
+    return all(not isinstance(a, int) or a == b for a, b in zip(found, expected, strict=True))

@@ -13,42 +13,25 @@ from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 
-_SAMPLED = 320
-"""Number of positions along a bar at which its colour is compared."""
-_BLOCK = 48
-"""Number of rows that are compared at a time."""
-_MOST_HIDDEN = 0.5
-"""Share of the image above which what looks like bars is the scene."""
-_NESTED = 4
-"""Maximum number of bars inside one another."""
-_THINNEST = 4
-"""Minimum thickness of a bar in pixels."""
-_WIDEST, _WIDEST_BLACK, _WIDEST_BESIDE = 0.15, 0.25, 0.38
-"""Maximum thickness as a share of the side. A level horizon of the sea or below a white sky is straight, too."""
+_SAMPLED = 320  # number of positions along a bar at which its colour is compared
+_BLOCK = 48  # number of rows that are compared at a time
+_MOST_HIDDEN = 0.5  # share of the image above which what looks like bars is the scene
+_NESTED = 4  # maximum number of bars inside one another
+_THINNEST = 4  # minimum thickness of a bar in pixels
+_WIDEST, _WIDEST_BLACK, _WIDEST_BESIDE = 0.15, 0.25, 0.38  # maximum share of the side; level horizons are straight, too
 _BLACK = 24
-_BACKGROUND = 0.6
-"""Minimum share of a bar, and of its last row, that has its colour."""
-_LETTERS = 0.25
-"""Minimum share of a row of letters that has the bar's colour."""
-_STRAIGHT = 0.7
-"""Minimum share of the bar's length on which it ends within three rows."""
-_TIGHT, _LOOSE = 5.0, 14.0
-"""Differences in grey levels within which pixels have a bar's colour: if the scene is as dark or as pale, and after
-strong compression."""
-_DRIFT = 3.0
-"""Maximum change of a bar's colour over most of its rows in grey levels, or a tenth of the step at its end; that of a
-sky is larger."""
-_PENUMBRA = 2
-"""Pixels by which a bar is enlarged, because compression mixes its edge with the scene."""
-_ROUND = 0.8
-"""Minimum agreement (intersection over union) of a corner with a rounded one."""
-_WORKING_WIDTH = 320
-"""Width at which holes are filled, because the filling is smooth."""
+_BACKGROUND = 0.6  # minimum share of a bar, and of its last row, that has its colour
+_LETTERS = 0.25  # minimum share of a row of letters that has the bar's colour
+_STRAIGHT = 0.7  # minimum share of the bar's length on which it ends within three rows
+_TIGHT, _LOOSE = 5.0, 14.0  # grey levels of one colour: if the scene is alike, and after strong compression
+_DRIFT = 3.0  # maximum change of a bar's colour over its rows, or a tenth of the step at its end; skies have more
+_PENUMBRA = 2  # pixels by which a bar is enlarged, because compression mixes its edge with the scene
+_ROUND = 0.8  # minimum agreement (intersection over union) of a corner with a rounded one
+_WORKING_WIDTH = 320  # width at which holes are filled, because the filling is smooth
 
 
 def find_overlay(picture: UInt8Array) -> BoolArray | None:
-    """Return (H, W) bool, True on bars, captions and frames along the edges of an image (H, W, 3) RGB, and on the
-    corners of rounded frames; None: there are none."""
+    """Return (H, W) bool, True on bars, captions and frames along the edges of an image and round corners, or None."""
     height, width = picture.shape[:2]
     hidden = np.zeros((height, width), np.uint8)
     inner, clear = picture, hidden
@@ -75,8 +58,7 @@ def scene_of(picture: UInt8Array) -> UInt8Array:
 
 
 def _bar(image: NDArray[Any], beside: bool) -> int:
-    """Return the rows of the bar along the upper edge of an image (h, w, 3), 0: there is none. `beside`: the image is
-    turned, and the edge is its left or right one."""
+    """Return the rows of the bar along the upper edge of an image (h, w, 3), or 0. `beside`: the image is turned."""
     rows, columns = image.shape[:2]
     if min(rows, columns) < 4 * _THINNEST:
         return 0
@@ -135,9 +117,9 @@ def _round_corners(image: UInt8Array, hidden: UInt8Array) -> None:
     colour = np.median(ends[0], axis=0).astype(np.uint8)
     if (_off(ends, colour) <= 3 * _DRIFT).sum() < 3:
         return
-    found = [_corner_radius(_off(corner, colour) <= 3 * _DRIFT) for corner, _ in turned]
-    radius = float(np.median([radius for radius in found if radius > 0] or [0]))
-    if sum(abs(other - radius) <= (1 - _ROUND) * radius for other in found if other > 0) < 3:
+    found = np.array([_corner_radius(_off(corner, colour) <= 3 * _DRIFT) for corner, _ in turned])
+    radius = float(np.median(found[found > 0])) if found.any() else 0.0
+    if (np.abs(found[found > 0] - radius) <= (1 - _ROUND) * radius).sum() < 3:
         return
     for _, clear in turned:
         clear[:side, :side][_beyond_arc(radius, side)] = 1

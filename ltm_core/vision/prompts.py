@@ -25,10 +25,8 @@ from ltm_core.vision.onnx_file import NetworkFile, file_digest
 from ltm_core.vision.onnx_model import open_session
 from ltm_core.vision.vocabulary import load_text, unit_vectors
 
-OTHER: Final = "other"
-"""Key of negative prompts: pixels that show one of them are unlabelled."""
-_MOST_TOKENS: Final = 77
-"""Length of CLIP's texts, for graphs that take any length."""
+OTHER: Final = "other"  # key of negative prompts: pixels that show one of them are unlabelled
+_MOST_TOKENS: Final = 77  # length of CLIP's texts, for graphs that take any length
 _LONGEST: Final = 200
 
 _COLORS = (
@@ -38,6 +36,7 @@ _COLORS = (
 """Colours of the classes of a user's own words; the first are those of `config/labels.yaml`."""
 
 Prompts = Mapping[str, Sequence[str]]
+_Groups = Mapping[str, tuple[str, ...]]
 
 
 def labels_of_prompts(text: str) -> LabelSet:
@@ -56,8 +55,7 @@ def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, show
         prompts: for each label (or OTHER) its prompts; empty: the names of the labels.
         shown: a prompt that is a class of its own, unlabelled, for a heat map; empty: none.
 
-    Raises ConfigError for a key that is no label, and prompts that are empty or repeated; ModelError for a network
-    without text, and for files that cannot be used."""
+    Raises ConfigError for other keys and bad prompts; ModelError for a network without text, and bad files."""
     given = dict(prompts) or {name: (name,) for name in labels.names}
     if unknown := sorted(set(given) - set(labels.names) - {OTHER}):
         raise ConfigError(f"vocabulary: no label {unknown[0]!r}; use {', '.join(labels.names)}, or {OTHER}")
@@ -65,50 +63,51 @@ def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, show
     if bad := [text for text in texts if not text.strip() or len(text) > _LONGEST or texts.count(text) > 1]:
         raise ConfigError(f"vocabulary: prompt {bad[0]!r} is empty, repeated, or longer than {_LONGEST} characters")
     groups = {name: tuple(group) for name, group in given.items() if name != OTHER and group}
-    mapping = {name: name for name in groups}
     alone = (*given.get(OTHER, ()), *((shown,) if shown else ()))
     if clash := sorted(set(alone) & set(groups)):
         raise ConfigError(f"vocabulary: {clash[0]!r} is a label and a prompt of its own; choose other words")
+    mapping = {name: name for name in groups} | dict.fromkeys(alone, "unlabelled")
     groups |= {text: (text,) for text in alone}
-    mapping |= dict.fromkeys(alone, "unlabelled")
     if manifest.output.kind == "embeddings":
         return _by_words(manifest, groups, mapping)
     if manifest.prompts is None:
-        raise ModelError(
-            f"model {manifest.name!r} takes no prompts; remove `vocabulary`, or use a network with a text encoder"
-        )
+        raise ModelError(f"model {manifest.name!r} takes no prompts; remove `vocabulary`, or use another network")
     return _by_input(manifest, groups, mapping)
 
 
-def _by_words(
-    manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]], mapping: dict[str, str]
-) -> NetworkManifest:
+def _by_words(manifest: NetworkManifest, groups: _Groups, mapping: dict[str, str]) -> NetworkManifest:
     """Return the manifest with the mean embedding of each group as its words, in a file of the user's cache."""
     assert manifest.text is not None  # nosec B101 # the manifest's own rule for embeddings
     texts = [text for group in groups.values() for text in group]
-    known = {} if manifest.text.file is None else _known_words(manifest)
+    known: dict[str, Float32Array] = {}
+    if manifest.text.file is not None:
+        words = load_text(manifest)
+        known = dict(zip(words.names, words.vectors, strict=True))
     unknown = [text for text in texts if text not in known]
     if unknown and manifest.prompts is None:
-        raise ModelError(
-            f"model {manifest.name!r} has no embedding of {unknown[0]!r}, and no text encoder; add it to the text file"
-        )
-    path = _cache_folder() / f"{_digest(manifest, groups)}.npz"
+        known_by = f"model {manifest.name!r}, which has no text encoder"
+        raise ModelError(f"{unknown[0]!r} has no embedding in {known_by}; add it to the text file")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ltm" / "prompts"
+    path = cache / f"{_digest(manifest, groups)}.npz"
     if not path.is_file():
         if unknown:
             known |= dict(zip(unknown, encoded(manifest, unknown), strict=True))
         means = np.stack([np.mean([known[text] for text in group], axis=0) for group in groups.values()])
-        _write(path, tuple(groups), unit_vectors(means.astype(np.float32), str(path)))
-    words = manifest.text.model_copy(update={"file": path})
-    return manifest.model_copy(update={"text": words, "mapping": mapping})
+        vectors = unit_vectors(means.astype(np.float32), str(path))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with written_whole(path) as part, part.open("wb") as stream:
+                np.savez(stream, names=np.array(tuple(groups)), embeddings=vectors)
+        except (ConfigError, OSError) as error:
+            raise ModelError(f"{path}: cannot be written; name a writable folder in XDG_CACHE_HOME") from error
+    spec = manifest.text.model_copy(update={"file": path})
+    return manifest.model_copy(update={"text": spec, "mapping": mapping})
 
 
-def _by_input(
-    manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]], mapping: dict[str, str]
-) -> NetworkManifest:
-    """Return the manifest with the prompts as constants of the network's input.
-
-    Of a network that takes embeddings, each group is one class. Of one that takes token ids, each prompt is one, and
-    the probability of a label is the mean of those of its prompts: its logits are lowered by ln(number of prompts)."""
+def _by_input(manifest: NetworkManifest, groups: _Groups, mapping: dict[str, str]) -> NetworkManifest:
+    """Return the manifest with the prompts as constants of the network's input. Of a network that takes embeddings,
+    each group is one class. Of one that takes token ids, each prompt is one, and the probability of a label is the mean
+    of those of its prompts: its logits are lowered by ln(number of prompts)."""
     constants: dict[str, Any] = dict(manifest.input.constants)
     ids = [name for name in constants if "ids" in name or "token" in name]
     if not ids:
@@ -142,7 +141,8 @@ def encoded(manifest: NetworkManifest, texts: Sequence[str]) -> Float32Array:
     length = first.shape[-1] if isinstance(first.shape[-1], int) else None
     tokens, mask = _tokens(manifest, texts, length)
     feed = {name: (mask if "mask" in name else tokens) for name in nodes}
-    feed = {name: _typed(values, nodes[name].type) for name, values in feed.items()}
+    narrow = [name for name, node in nodes.items() if node.type == "tensor(int32)"]
+    feed |= {name: feed[name].astype(np.int32) for name in narrow}
     outputs = [node.name for node in session.get_outputs()]
     try:
         each = ({name: values[i : i + 1] for name, values in feed.items()} for i in range(len(texts)))
@@ -158,10 +158,6 @@ def encoded(manifest: NetworkManifest, texts: Sequence[str]) -> Float32Array:
         expected = f"expected {manifest.text.dimensions}, as the network's features"
         raise ModelError(f"{path}: embeddings have {vectors.shape[1]} numbers, {expected}")
     return unit_vectors(vectors, str(path))
-
-
-def _typed(values: npt.NDArray[np.int64], kind: str) -> npt.NDArray[Any]:
-    return values.astype(np.int32) if kind == "tensor(int32)" else values
 
 
 def _tokens(
@@ -186,12 +182,7 @@ def _tokens(
     return np.array([one.ids for one in found], np.int64), np.array([one.attention_mask for one in found], np.int64)
 
 
-def _known_words(manifest: NetworkManifest) -> dict[str, Float32Array]:
-    words = load_text(manifest)
-    return dict(zip(words.names, words.vectors, strict=True))
-
-
-def _digest(manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]]) -> str:
+def _digest(manifest: NetworkManifest, groups: _Groups) -> str:
     """Return the digest of all that the embeddings of prompts depend on."""
     found = hashlib.sha256(json.dumps([(name, *group) for name, group in groups.items()]).encode())
     prompts, text = manifest.prompts, manifest.text
@@ -207,16 +198,3 @@ def _digest(manifest: NetworkManifest, groups: Mapping[str, tuple[str, ...]]) ->
 def _file_digest(path: Path, changed_ns: int) -> str:
     """Return the digest of a file, computed once per process: each camera has its segmenter, and encoders are large."""
     return NetworkFile.read(path).digest if path.suffix == ".onnx" else file_digest(path)
-
-
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ltm" / "prompts"
-
-
-def _write(path: Path, names: tuple[str, ...], vectors: Float32Array) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as part, part.open("wb") as stream:
-            np.savez(stream, names=np.array(names), embeddings=vectors)
-    except (ConfigError, OSError) as error:
-        raise ModelError(f"{path}: cannot be written; name a writable folder in XDG_CACHE_HOME") from error

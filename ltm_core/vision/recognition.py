@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,8 +40,7 @@ _IMAGE: Final = re.compile(r"pixel|image|img|rgb|photo|input|^x$", re.IGNORECASE
 _TEXT: Final = re.compile(r"input_ids|attention_mask|token|prompt|text", re.IGNORECASE)
 _DEPTH: Final = re.compile(r"depth|disp|points?($|_)|pts", re.IGNORECASE)
 _BESIDE_DEPTH: Final = re.compile(r"conf|normal|ssi|uncert|mask|scale", re.IGNORECASE)
-_SIDE: Final = 224
-"""About the size of the images that are run to find out which multiples of pixels a network takes."""
+_SIDE: Final = 224  # about the size of the images that are run to find out which multiples of pixels a network takes
 _MULTIPLES: Final = (1, 2, 4, 8, 14, 16, 28, 32, 64)
 
 Node = Any
@@ -58,10 +58,8 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
         raise ModelError(f"{source.file}: {wrong[0]} is {known[wrong[0]]!r}; expected a mapping of keys to values")
     file = NetworkFile.read(source.file)
     if "sha256" in known and known["sha256"] not in (file.digest, file_digest(source.file)):
-        raise ModelError(
-            f"{source.file}: has sha256 {file.digest}, expected {known['sha256']}; download it again, or correct the "
-            "checksum if you changed the network"
-        )
+        expected = f"expected {known['sha256']}; download it again, or correct the checksum"
+        raise ModelError(f"{source.file}: has sha256 {file.digest}, {expected}")
     try:
         network = _Recognition(source, file, known, recipe or source.recipe)
         content = network.content()
@@ -80,27 +78,27 @@ def recognise(source: Source, stated: Mapping[str, Any], recipe: str = "", name:
 
 
 class _Recognition:
+    """One network. `missing`: what cannot be determined, each as a clause with the option to state it."""
+
     def __init__(self, source: Source, file: NetworkFile, stated: Mapping[str, Any], recipe: str) -> None:
-        self.path, self.stated = source.file, stated
-        self.session = open_session(file, source.file)
+        self.path, self.source, self.stated, self.config = source.file, source, stated, source.config
+        self.session, self.quiet = open_session(file, source.file), ort.RunOptions()
         self.inputs: dict[str, Node] = {node.name: node for node in self.session.get_inputs()}
         self.outputs: dict[str, Node] = {node.name: node for node in self.session.get_outputs()}
-        self.config, self.quiet = source.config, ort.RunOptions()
         self.quiet.log_severity_level = 4  # failures at some sizes are expected
         self.missing: list[str] = []
-        """What cannot be determined: each as a clause with the option to state it."""
         self.unknown_inputs = self.takes_prompts = False
-        self.source, self.shape = source, self._image_shape(stated)
-        sides = self.shape[1:3] if self._layout(stated) == "NHWC" else self.shape[2:]
-        self.sides, graph = sides, (set(self.inputs), set(self.outputs), tuple(sides))
-        self.recipe = recipe or RecipeFile.load().matching(*graph, str(self.config.get("model_type", "")))
-        known = RecipeFile.load().named(self.recipe).manifest if self.recipe else {}
+        self.shape = self._image_shape(stated)
+        self.sides = self.shape[1:3] if self._layout(stated) == "NHWC" else self.shape[2:]
+        recipes, kind = RecipeFile.load(), str(self.config.get("model_type", ""))
+        self.recipe = recipe or recipes.matching(set(self.inputs), set(self.outputs), tuple(self.sides), kind)
+        known = merged({"input": {}, "output": {}}, recipes.named(self.recipe).manifest if self.recipe else {})
         if self.config.get("depth_estimation_type") == "metric":
-            known = merged(known, {"output": {"kind": "metric"}})
-        usual = known.get("input", {}).get("constants", {})
-        known = merged({"input": {}, "output": {}}, known)
+            known["output"] = {**known["output"], "kind": "metric"}
+        usual = known["input"].get("constants", {})
         known["input"] = {**known["input"], "constants": {n: v for n, v in usual.items() if n in self.inputs}}
         self.known = merged(known, stated)
+        self.has_camera = any(_CAMERA.search(name) or n.shape[-2:] == [3, 3] for name, n in self.inputs.items())
         if unknown := set(self.known["input"].get("constants", {})) - set(self.inputs):
             raise ModelError(f"{self.path}: has no input {', '.join(unknown)}; inputs: {_listed(self.inputs)}")
 
@@ -135,10 +133,8 @@ class _Recognition:
         name = (stated.get("input") or {}).get("name")
         image = self.inputs.get(name) if name else named[0] if named else None
         if image is None or len(image.shape) not in (4, 5):
-            raise ModelError(
-                f"{self.path}: has no input for an image ({_listed(self.inputs)}); give the vision part of the network,"
-                " or --set input.name=NAME"
-            )
+            how = "give the vision part of the network, or --set input.name=NAME"
+            raise ModelError(f"{self.path}: has no input for an image ({_listed(self.inputs)}); {how}")
         if isinstance(image.shape[0], int) and image.shape[0] != 1:
             raise ModelError(f"{self.path}: takes {image.shape[0]} images at once; export it for one image")
         self.image = image
@@ -158,13 +154,10 @@ class _Recognition:
         known["layout"], known["name"] = self._layout(self.known), self.image.name
         known["dtype"] = dtype = np.dtype(DTYPES.get(self.image.type, np.object_)).name
         if dtype not in ("float32", "float16", "uint8"):
-            raise ModelError(
-                f"{self.path}: input {self.image.name} is {self.image.type}; export it as float32 or uint8"
-            )
+            raise ModelError(f"{self.path}: input {self.image.name} is {self.image.type}; use float32 or uint8")
         if dtype != "uint8" and not {"scale", "mean", "std"} & set(known):
-            found = self.source.normalisation(
-                str(self.stated.get("normalise", "")), str(self.known.get("normalise", ""))
-            )
+            given, usual = (str(of.get("normalise", "")) for of in (self.stated, self.known))
+            found = self.source.normalisation(given, usual)
             if found is None:
                 options = "|".join(RecipeFile.load().normalisations)
                 self.missing.append(f"the normalisation (no preprocessor_config.json): --set normalise={options}")
@@ -200,19 +193,17 @@ class _Recognition:
     def _feed(self, spec: InputSpec) -> dict[str, Values]:
         rng, size = np.random.default_rng(7), (spec.height, spec.width)
         tensor = as_tensor(rng.integers(0, 256, (*size, 3), dtype=np.uint8), spec)
-        feed = image_feed(
-            self.image, tensor, {n: constant_tensor(v, self.inputs[n], size) for n, v in spec.constants.items()}
-        )
+        constants = {n: constant_tensor(v, self.inputs[n], size) for n, v in spec.constants.items()}
+        feed = image_feed(self.image, tensor, constants)
         if spec.intrinsics in self.inputs:
             matrix = np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1.0]])
             feed |= camera_feed(self.inputs[spec.intrinsics], matrix, tensor, spec)
         return feed
 
     def _run(self, spec: InputSpec) -> dict[str, Values]:
+        feed = self._feed(spec)
         try:
-            found = self.session.run(list(self.outputs), self._feed(spec), self.quiet)
-        except ModelError:
-            raise
+            found = self.session.run(list(self.outputs), feed, self.quiet)
         except Exception as reason:  # the runtime's errors have no common base
             raise ModelError(
                 f"{self.path}: does not run on an image of {spec.width} x {spec.height} pixels ({reason}); state the "
@@ -228,12 +219,9 @@ class _Recognition:
             # Odd numbers of the multiple, so that no larger one divides both.
             tall = (max(1, _SIDE // multiple) | 1) * multiple
             trial = spec.model_copy(update={"height": tall, "width": tall + 2 * multiple, "fit": "stretch"})
-            try:
-                found = self._run(trial)
-            except ModelError:
-                continue
-            if covered(trial, found.values()):
-                return multiple
+            with suppress(ModelError):
+                if covered(trial, self._run(trial).values()):
+                    return multiple
         return 0
 
     # ---- output
@@ -271,43 +259,37 @@ class _Recognition:
         return fits[0] if fits else ""
 
     def _kind(self, name: str, values: Values, found: Mapping[str, Values], known: Mapping[str, Any]) -> str:
+        low, stated = name.lower(), str(self.config.get("depth_estimation_type", ""))
         if values.ndim == 4 and self._queries(values, found):
             return "masks"
-        low = name.lower()
         if _DEPTH.search(name) and not _BESIDE_DEPTH.search(name):
-            stated = str(self.config.get("depth_estimation_type", ""))
-            if stated == "metric" or "metric" in low or "metric_scale" in found or self._has_camera():
+            if stated == "metric" or "metric" in low or "metric_scale" in found or self.has_camera:
                 return "metric"
             if stated == "relative" or "disp" in low or "inverse" in low:
                 return "relative_inverse"
-            self.missing.append(
-                f"whether {name} is metres, inverse depth or depth of unknown scale: --set output.kind=metric|"
-                "relative_inverse|affine_invariant"
-            )
-            return ""
+            what = f"whether {name} is metres, inverse depth or depth of unknown scale"
+            return self._unknown_kind(what, *DEPTH_KINDS)
         if np.issubdtype(values.dtype, np.integer):
             return "ids"
         if "text" in self.known or "embed" in low or "hidden" in low or "feature" in low:
             return "embeddings"
         if values.ndim < 3 or (values.ndim == 4 and 1 in (values.shape[1], values.shape[3]) and "logits" not in low):
-            self.missing.append(
-                f"what output {name} {list(values.shape)} is: --set output.kind=probabilities|logits|relative_inverse|"
-                "affine_invariant|metric"
-            )
-            return ""
+            what = f"what output {name} {list(values.shape)} is"
+            return self._unknown_kind(what, "probabilities", "logits", *DEPTH_KINDS)
         axis = 1 if known.get("layout", "NCHW") == "NCHW" else 3
         sums = values.astype(np.float64).sum(axis=min(axis, values.ndim - 1))
         unit = values.min() >= -1e-3 and values.max() <= 1.0 + 1e-3
         return "probabilities" if unit and np.allclose(sums, 1.0, atol=1e-2) else "logits"
 
-    def _has_camera(self) -> bool:
-        return any(_CAMERA.search(name) or node.shape[-2:] == [3, 3] for name, node in self.inputs.items())
+    def _unknown_kind(self, what: str, *kinds: str) -> str:
+        self.missing.append(f"{what}: --set output.kind={'|'.join(kinds)}")
+        return ""
 
     def _beside_depth(self, known: dict[str, Any], found: Mapping[str, Values]) -> None:
         values = found[known["name"]]
         planes = values.ndim > 2 and values.shape[-1] in (1, 3) and values.shape[-3:][0] not in (1, 3)
         known.setdefault("layout", "NHWC" if planes else "NCHW")
-        own_focal = known["kind"] == "metric" and not known.get("canonical_focal_px") and not self._has_camera()
+        own_focal = known["kind"] == "metric" and not known.get("canonical_focal_px") and not self.has_camera
         for name, value in found.items():
             if re.search(r"^(valid|mask|.*_mask)$", name, re.IGNORECASE):
                 known.setdefault("valid", name)
@@ -319,29 +301,22 @@ class _Recognition:
     def _classes(self, known: dict[str, Any], values: Values, found: Mapping[str, Values]) -> None:
         if known["kind"] == "masks":
             known.setdefault("queries", self._queries(values, found))
-        names = list(self.known.get("classes", ())) or self.source.class_names()
-        count = len(names)
+        self.known["classes"] = names = list(self.known.get("classes", ())) or self.source.class_names()
         if known["kind"] not in ("ids", "masks"):
-            nhwc = values.ndim == 4 and values.shape[3] == count != values.shape[1]
+            nhwc = values.ndim == 4 and values.shape[3] == len(names) != values.shape[1]
             known.setdefault("layout", "NHWC" if nhwc else "NCHW")
-        self.known["classes"] = names
         if not names:
             channels = "" if known["kind"] == "ids" else f" of output {known['name']} {list(values.shape)}"
-            self.missing.append(
-                f"the names of the classes{channels} (no config.json): --set 'classes=[sky, grass, ...]'"
-            )
+            what = f"the names of the classes{channels} (no config.json): --set 'classes=[sky, grass, ...]'"
+            self.missing.append(what)
             return
-        if "mapping" not in self.known:
-            self.known["mapping"] = labels_of_classes(names)
-        if not self.known["mapping"]:
+        if not self.known.setdefault("mapping", labels_of_classes(names)):
             self.missing.append(f"the labels of the classes ({', '.join(names[:12])}): --set mapping.{names[0]}=tree")
 
     def _reject_if_missing(self) -> None:
         if self.missing:
-            raise ModelError(
-                f"{self.path}: cannot be determined: {'; '.join(self.missing)}; or --like RECIPE for a network of a "
-                "known kind (`ltm models` lists recipes)"
-            )
+            how = "or --like RECIPE for a network of a known kind (`ltm models` lists recipes)"
+            raise ModelError(f"{self.path}: cannot be determined: {'; '.join(self.missing)}; {how}")
 
 
 def _listed(nodes: Mapping[str, Node]) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,8 +12,8 @@ from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.vision.labels import UNLABELLED, Label
-from ltm_core.vision.mask_config import MaskConfig
-from ltm_core.vision.masks import CameraMask, Looking, MakeMask, ViewMasks, packed, read_mask
+from ltm_core.vision.mask_config import ViewMask
+from ltm_core.vision.masks import Looking, MakeMask, nearest_view
 from ltm_core.vision.network_image import once
 from ltm_core.vision.overlays import fill_hidden, find_overlay
 from ltm_core.vision.usable import Unusable, Usability, judge
@@ -53,8 +52,7 @@ class SceneView:
         return picture if self.hidden is None else fill_hidden(picture, self.hidden)
 
     def unlabelled(self, labels: UInt8Array, confidence: UInt8Array) -> None:
-        """Remove labels (H, W) and their confidence (H, W), in place, where the landscape is not visible, in unusable
-        images, and on overexposed or black land."""
+        """Remove labels and their confidence (H, W), in place, where the landscape is not visible or overexposed."""
         if self.reason is None and self.hidden is None and self.doubtful is None:
             return
         gone = np.full(labels.shape, self.reason is not None)
@@ -73,78 +71,58 @@ class SceneFilter:
 
     `make`: the camera's mask, that of all its views; None: it has none. `size`: of its images, where it is known
     beforehand. `judged`: whether images are judged usable. `views`: masks of single views besides. `place`: longitude
-    and latitude of the site, radians, for the sun's elevation; None: it is not used."""
+    and latitude of the site, radians, for the sun's elevation; None: it is not used. Raises ConfigError."""
 
     def __init__(
         self,
         make: MakeMask | None = None,
         size: tuple[int, int] | None = None,
         judged: bool = True,
-        views: ViewMasks | None = None,
+        views: Mapping[ViewMask, MakeMask] = {},
         place: tuple[float, float] | None = None,
     ) -> None:
-        self._make, self._judged, self._views, self._place = make, judged, views, place
+        self._make, self._judged, self._views, self._place = make, judged, dict(views), place
         self.mask = make(*size) if make is not None and size is not None else None
         """Mask of all views as last used; None: there is none, or the image size is not known yet."""
         self._seen: tuple[str, BoolArray] | None = None
-
-    @classmethod
-    def of_png(cls, path: Path, place: str) -> SceneFilter:
-        """Return the filter of a PNG mask; `place`: its name in errors. Raises ConfigError as `read_mask`, and if its
-        size is not that of the images."""
-        return cls(*mask_maker(path, place))
+        for make_view in self._views.values():
+            if size is not None:
+                make_view(*size)
 
     def hidden(self, width: int, height: int, looking: Looking | None = None) -> BoolArray | None:
         """Return (H, W) bool, the masked pixels of images of this size in this direction (None: in all directions);
         None: no mask. Raises ConfigError."""
-        view = None if self._views is None or looking is None else self._views.at(looking)
+        view = None if looking is None else nearest_view(self._views, looking)
         if self._make is not None and (self.mask is None or self.mask.size != (width, height)):
             self.mask = self._make(width, height)
         common = None if self.mask is None else self.mask.hidden
-        if view is None or self._views is None:
+        if view is None:
             return common
         # A camera dwells at a view: its mask is made once for all images of the stay.
-        seen = self._seen
-        if seen is None or seen[0] != view.name or seen[1].shape != (height, width):
-            own = self._views.mask(view, width, height).hidden
-            seen = self._seen = view.name, own if common is None else own | common
-        return seen[1]
+        if self._seen is None or self._seen[0] != view.name or self._seen[1].shape != (height, width):
+            own = self._views[view](width, height).hidden
+            self._seen = view.name, own if common is None else own | common
+        return self._seen[1]
 
     def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:
         """Return the scene view of an image (H, W, 3) RGB; `stamp_ns`: its time, None: unknown. Raises ConfigError if
         the mask has another size, ImageError for another shape."""
-        _check(picture)
+        if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
+            raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
         hidden = self.hidden(picture.shape[1], picture.shape[0], looking)
-        return replace(self._view(picture, hidden, stamp_ns), masked=self._masked(looking))
-
-    def _view(self, picture: UInt8Array, masked: BoolArray | None, stamp_ns: int | None) -> SceneView:
         overlay = once(picture, find_overlay, lambda: find_overlay(picture))
-        hidden = masked if overlay is None else overlay if masked is None else masked | overlay
-        if not self._judged:
-            return SceneView(hidden)
-        sun_deg = None
-        if self._place is not None and stamp_ns is not None:
-            longitude, latitude = self._place
-            sun_deg = float(np.degrees(sun_elevation(latitude, longitude, stamp_ns)))
-        if hidden is None:
-            return SceneView(None, once(picture, (judge, sun_deg), lambda: judge(picture, None, sun_deg)))
-        return SceneView(hidden, judge(picture, hidden, sun_deg))
-
-    def _masked(self, looking: Looking | None) -> str:
-        if self._views is None or looking is None:
-            return ""
-        view = self._views.at(looking)
-        return f"view {view.name}" if view is not None else f"no view of the site file has this direction: {looking}"
-
-
-def _check(picture: UInt8Array) -> None:
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
-        raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
-
-
-def mask_maker(config: MaskConfig, place: str) -> tuple[MakeMask, tuple[int, int] | None]:
-    """Return the function that makes the mask, and its size if it has one of its own. Raises ConfigError."""
-    if not isinstance(config, Path):
-        return partial(CameraMask.of_polygons, config, place=place), None
-    read = read_mask(config, place)
-    return packed(read), read.size
+        if overlay is not None:
+            hidden = overlay if hidden is None else hidden | overlay
+        usability, sun_deg = None, None
+        if self._judged:
+            if self._place is not None and stamp_ns is not None:
+                longitude, latitude = self._place
+                sun_deg = float(np.degrees(sun_elevation(latitude, longitude, stamp_ns)))
+            # Without a mask of this camera, the judgement is the same for all nodes.
+            whole = once(picture, (judge, sun_deg), lambda: judge(picture, None, sun_deg)) if hidden is None else None
+            usability = whole or judge(picture, hidden, sun_deg)
+        masked = ""
+        if self._views and looking is not None:
+            view = nearest_view(self._views, looking)
+            masked = f"view {view.name}" if view else f"no view of the site file has this direction: {looking}"
+        return SceneView(hidden, usability, masked)

@@ -11,21 +11,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.network_image import working_image
 
-ROWS, COLUMNS = 9, 12
-"""Rows and columns of the grid on which regions are classified."""
+ROWS, COLUMNS = 9, 12  # rows and columns of the grid on which regions are classified
 
-_BLANK = 1.5
-"""Standard deviation of grey levels below which an image is blank."""
-_NIGHT = 60.0
-"""Grey level below which 95 % of a night image lies."""
+_BLANK = 1.5  # standard deviation of grey levels below which an image is blank
+_NIGHT = 60.0  # grey level below which 95 % of a night image lies
 _BLACK_SKY = 40.0
 """Value of the brightest channel below which 90 % of the upper quarter of a floodlit or infrared night lies. It applies
 to a low or unknown sun; of 340 photos by day, two from inside cars are as dark there."""
@@ -34,20 +33,13 @@ _DIM, _LOW_SUN_DEG = 145.0, 5.0
 compensated for the missing light. A dark forest is as dim at noon, so neither value is sufficient alone. Chosen on
 rendered months (`ltm-lab bench archive --month`), in which all plants turn into darker ones in such images; 11 of 159
 mountain photos are as dim."""
-_GLARE, _GLARE_BELOW = 0.35, 0.2
-"""Shares of the image, and of its lower half, that are overexposed."""
-_BURNT, _BLACK = 245, 14
-"""Levels above which all channels, or below which none, carry information."""
-_CONTRAST = 1.5
-"""Local contrast in grey levels above which a cell of the grid shows something."""
-_FOG = 0.06
-"""Share of the cells that show something below which an image is classified as fog."""
-_BLUR = 0.2
-"""Ratio of fine to coarse contrast below which an image is blurred (out of focus, or a wet lens)."""
-_BLUR_CONTRAST = 1.0
-"""Coarse contrast of the best cells above which blur can be detected."""
-_REGION = 0.6
-"""Share of overexposed or black pixels above which a cell is not used."""
+_GLARE, _GLARE_BELOW = 0.35, 0.2  # shares of the image, and of its lower half, that are overexposed
+_BURNT, _BLACK = 245, 14  # levels above which all channels, or below which none, carry information
+_CONTRAST = 1.5  # local contrast in grey levels above which a cell of the grid shows something
+_FOG = 0.06  # share of the cells that show something below which an image is classified as fog
+_BLUR = 0.2  # ratio of fine to coarse contrast below which an image is blurred (out of focus, or a wet lens)
+_BLUR_CONTRAST = 1.0  # coarse contrast of the best cells above which blur can be detected
+_REGION = 0.6  # share of overexposed or black pixels above which a cell is not used
 
 
 class Unusable(StrEnum):
@@ -61,21 +53,8 @@ class Unusable(StrEnum):
     BLUR = "blur"
 
 
-@dataclass(frozen=True, eq=False)
-class Usability:
-    """Usability of an image. `reason`: why it is unusable as a whole; None: usable. `doubtful`: (ROWS, COLUMNS) bool,
-    edge to edge over the image: overexposed or black cells."""
-
-    reason: Unusable | None
-    doubtful: BoolArray
-
-    @property
-    def said(self) -> str:
-        """Return the reason in words; empty if the image is usable."""
-        return "" if self.reason is None else _SAID[self.reason]
-
-
 _SAID = {
+    None: "",
     Unusable.BLANK: "blank: the image has one colour",
     Unusable.NIGHT: "night: the image is too dark",
     Unusable.DUSK: "dusk: the sun is low and the image dim",
@@ -85,11 +64,22 @@ _SAID = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class Usability:
+    """Usability of an image. `reason`: None if usable. `doubtful`: (ROWS, COLUMNS), overexposed or black cells."""
+
+    reason: Unusable | None
+    doubtful: BoolArray
+
+    @property
+    def said(self) -> str:
+        """Return the reason in words; empty if the image is usable."""
+        return _SAID[self.reason]
+
+
 def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
     """Judge an image (H, W, 3) RGB. `hidden`: (H, W) bool, masked pixels, which are ignored; None: none. `sun_deg`: the
-    sun's elevation, degrees; None: unknown.
-
-    Raises ImageError for another shape."""
+    sun's elevation, degrees; None: unknown. Raises ImageError for another shape."""
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
         raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
     small = working_image(picture)
@@ -115,40 +105,29 @@ def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float |
         burnt, black = burnt * seen, black * seen
     if not seen.any():
         return Usability(Unusable.BLANK, np.ones((ROWS, COLUMNS), np.bool_))
-    cells = _Cells(seen)
-    doubtful = (cells.mean(burnt) >= _REGION) | (cells.mean(black) >= _REGION)
+    share = _to_grid(seen.astype(np.float32))
+    known = share > 0.3  # cells of which enough is visible
+    most = np.maximum(share, np.float32(1e-3))
+    doubtful = (_to_grid(burnt) / most >= _REGION) | (_to_grid(black) / most >= _REGION)
     upper = brightest[: len(levels) // 4][seen[: len(seen) // 4]]
     black_sky = upper.size > 0 and float(np.percentile(upper, 90)) < _BLACK_SKY
     levels = levels if hidden is None else levels[seen]
     low = sun_deg is not None and sun_deg < _LOW_SUN_DEG
-    reason = _reason(levels, cells.mean(fine), cells.mean(coarse), cells, burnt, low)
+    reason = _reason(levels, (_to_grid(fine) / most)[known], (_to_grid(coarse) / most)[known], burnt, low)
     if reason is None and black_sky and (low or sun_deg is None):
         reason = Unusable.NIGHT
-    return Usability(reason, doubtful & cells.known)
+    return Usability(reason, doubtful & known)
 
 
-class _Cells:
-    """Means of the visible image (h, w) over the cells of the grid."""
-
-    def __init__(self, seen: BoolArray) -> None:
-        self._share = _to_grid(seen.astype(np.float32))
-        self.known = self._share > 0.3
-        """Cells of which enough is visible."""
-
-    def mean(self, values: Float32Array) -> Float32Array:
-        return np.asarray(_to_grid(values) / np.maximum(self._share, np.float32(1e-3)), np.float32)
-
-
-def _to_grid(values: Float32Array) -> Float32Array:
-    return np.asarray(
-        cv2.resize(np.asarray(values, np.float32), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA), np.float32
-    )
+def _to_grid(values: NDArray[Any]) -> Float32Array:
+    grid = cv2.resize(np.asarray(values, np.float32), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
+    return np.asarray(grid, np.float32)
 
 
 def _reason(
-    levels: UInt8Array, fine: Float32Array, coarse: Float32Array, cells: _Cells, burnt: Float32Array, low_sun: bool
+    levels: UInt8Array, fine: NDArray[Any], coarse: NDArray[Any], burnt: Float32Array, low_sun: bool
 ) -> Unusable | None:
-    """`levels`: grey of what is seen; `fine`, `coarse`: contrast of the cells; `burnt`: (h, w)."""
+    """Return why an image is unusable. `levels`: visible grey; `fine`, `coarse`: contrast (N,); `burnt`: (h, w)."""
     if float(cv2.meanStdDev(levels)[1].item()) < _BLANK:
         return Unusable.BLANK
     counts = np.cumsum(cv2.calcHist([levels], [0], None, [256], [0, 256]).ravel())
@@ -157,16 +136,13 @@ def _reason(
         return Unusable.NIGHT
     if low_sun and bright < _DIM:
         return Unusable.DUSK
-    lower = burnt[len(burnt) // 2 :]
-    if float(burnt.mean()) > _GLARE and float(lower.mean()) > _GLARE_BELOW:
+    if float(burnt.mean()) > _GLARE and float(burnt[len(burnt) // 2 :].mean()) > _GLARE_BELOW:
         return Unusable.GLARE
-    fine, coarse = fine[cells.known], coarse[cells.known]
     if not len(coarse):
         return None
     if float((coarse > _CONTRAST).mean()) < _FOG:
         return Unusable.FOG
     best = coarse >= np.percentile(coarse, 70)
     sharpness = float(fine[best].sum() / (coarse[best].sum() + 0.3))
-    if sharpness < _BLUR and float(np.percentile(coarse, 90)) > _BLUR_CONTRAST:
-        return Unusable.BLUR
-    return None
+    blurred = sharpness < _BLUR and float(np.percentile(coarse, 90)) > _BLUR_CONTRAST
+    return Unusable.BLUR if blurred else None

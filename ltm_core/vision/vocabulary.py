@@ -18,12 +18,7 @@ from ltm_core.storage.config_io import load_arrays, load_yaml
 from ltm_core.vision.manifest import NetworkManifest
 
 
-class _VocabularyFile(StrictModel):
-    synonyms: dict[str, tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class Vocabulary:
+class Vocabulary(StrictModel):
     """Words and their labels."""
 
     synonyms: dict[str, tuple[str, ...]]
@@ -32,7 +27,7 @@ class Vocabulary:
     def load(cls, path: Path | None = None) -> Vocabulary:
         """Read a vocabulary file, by default the one that ships. Raises ConfigError, also for a word of two labels."""
         path = config_path("vocabulary.yaml") if path is None else path
-        vocabulary = cls(load_yaml(path, _VocabularyFile).synonyms)
+        vocabulary = load_yaml(path, cls)
         seen: dict[str, str] = {}
         for label, words in vocabulary.synonyms.items():
             for word in words:
@@ -61,12 +56,10 @@ def labels_of_classes(names: Sequence[str]) -> dict[str, str]:
     return found
 
 
-_OBJECTS = {"canopy", "wood", "broom", "air"}
-"""Words that mean something else as classes of a network: ADE20K's canopy is an awning, COCO's wood a material."""
+_OBJECTS = {"canopy", "wood", "broom", "air"}  # ADE20K's canopy is an awning, COCO's wood a material
 
 
-LARGEST = 64 << 20
-"""Maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB."""
+LARGEST = 64 << 20  # maximum bytes of the words or of their vectors: 20,000 words in 512 dimensions have 40 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +89,8 @@ def load_text(manifest: NetworkManifest) -> TextEmbeddings:
         raise ModelError(f"{path}: names are {words.dtype}, embeddings {given.dtype}; expected texts and numbers")
     names, vectors = tuple(str(name) for name in words.ravel()), np.asarray(given, np.float32)
     if vectors.shape != (len(names), spec.dimensions) or not names:
-        raise ModelError(
-            f"{path}: {len(names)} names and embeddings of shape {vectors.shape}; expected (K, {spec.dimensions}), one "
-            "row a name, as text.dimensions states"
-        )
+        found = f"{len(names)} names and embeddings of shape {vectors.shape}"
+        raise ModelError(f"{path}: {found}; expected (K, {spec.dimensions}), as text.dimensions states")
     if len(set(names)) != len(names):
         raise ModelError(f"{path}: repeated names; give each word once")
     unknown = sorted(set(manifest.mapping) - set(names))

@@ -173,12 +173,13 @@ def search_photos(guesses: dict[Path, GuessConfig], dem: Dem, options: PhotoOpti
     """Search the pose of each photo; with `mount`, find one correction for all of them."""
     from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
     from ltm_core.vision.manifest import DEFAULT_MODEL
+    from ltm_core.vision.masks import MaskMaker
     from ltm_core.vision.scene_view import SceneFilter
     from ltm_core.vision.segmenter import Segmenter
 
     config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if options.canopy else PicturePoseConfig()
     segmenter = None if options.labels is not None else Segmenter.open(options.model or DEFAULT_MODEL)
-    scene = SceneFilter() if options.mask is None else SceneFilter.of_png(options.mask, "--mask")
+    scene = SceneFilter(None if options.mask is None else MaskMaker(options.mask, "--mask"))
     found = [_find(file, guess, dem, segmenter, scene, options, config) for file, guess in guesses.items()]
     if options.mount and options.lens is not None:
         shared = _common_lens([f.result.camera for f in found if f.result.accepted])
@@ -215,8 +216,7 @@ def _find(
 ) -> FoundPhoto:
     from ltm_core.pose_estimation.lens import LensPrior
     from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
-    from ltm_core.pose_estimation.skyline.find_pose import find_pose
-    from ltm_core.pose_estimation.skyline.lens_search import find_pose_and_lens
+    from ltm_core.pose_estimation.skyline.find_pose import find_pose, find_pose_and_lens
     from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, read_labels, result_of, set_up_search
     from ltm_core.tracing.trace_io import read_photo
 

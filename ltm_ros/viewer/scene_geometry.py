@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +15,7 @@ from ltm_core.base.types import Float32Array, Float64Array, IndexArray, RgbImage
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import label_colors, terrain_colors
 from ltm_core.pictures.legend import UNLABELLED, ClassPalette
+from ltm_core.pictures.relief import coarser
 from ltm_core.raster.dem import Dem
 
 MAX_TRIANGLES = 300_000
@@ -67,14 +67,7 @@ def terrain_mesh(dem: Dem) -> TexturedMesh:
 
 
 def _texture(dem: Dem) -> RgbImage:
-    longest = max(dem.elevation.shape)
-    colors = terrain_colors(dem, factor=max(1, longest // (2 * MAX_TEXTURE)))
-    height, width = colors.shape[:2]
-    scale = MAX_TEXTURE / max(height, width)
-    if scale >= 1:
-        return colors
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return np.asarray(cv2.resize(colors, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return terrain_colors(coarser(dem, -(-max(dem.elevation.shape) // MAX_TEXTURE)))
 
 
 @dataclass(frozen=True, eq=False)

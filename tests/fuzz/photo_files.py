@@ -14,7 +14,7 @@ from fuzz.target import Target
 from ltm_core.base.errors import CameraError
 from ltm_core.geometry.camera import Camera
 from ltm_core.tracing import trace_io
-from ltm_core.vision.masks import read_mask
+from ltm_core.vision.masks import MaskMaker
 from ltm_ros.recordings.importing.intrinsics import intrinsics
 from ltm_ros.recordings.importing.photo import read_photo
 
@@ -82,7 +82,7 @@ def _masks(folder: Path) -> list[bytes]:
 PHOTO_FILES = (
     _photo("jpg", _photos("JPEG", quality=90)),
     _photo("png", _photos("PNG")),
-    Target("mask_png", "m.png", _masks, lambda folder: read_mask(folder / "m.png", "cameras.a.mask")),
+    Target("mask_png", "m.png", _masks, lambda folder: MaskMaker(folder / "m.png", "cameras.a.mask")),
     _photo("heic", _photos("HEIF")),
     Target("photo_dji", "a.jpg", _photos("JPEG", quality=90, xmp=_XMP), lambda folder: _read_photo(folder, "a.jpg")),
     Target(

@@ -17,13 +17,10 @@ from ltm_core.geometry.zoom_lens import LensConfig, ZoomLens
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
 from ltm_core.raster.dem import Dem
 
-_ANGLES = 4
-
 
 class MountConfig(PoseConfig):
-    """Position and mounting of a PTZ head: the keys of a pose are those of its camera at pan and tilt 0.
-
-    The sigmas' defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated."""
+    """Position and mounting of a PTZ head: the keys of a pose are those of its camera at pan and tilt 0. The sigmas'
+    defaults are those of a PTZ head that was set up with a compass and a level, and never calibrated."""
 
     azimuth_sigma_deg: Written[float | None] = Field(1.5, gt=0)
     pitch_sigma_deg: Written[float | None] = Field(0.5, gt=0)
@@ -41,8 +38,7 @@ class MountConfig(PoseConfig):
     encoder_sigma_deg: Written[float] = Field(0.03, gt=0)
     """Standard deviation of pan and of tilt in degrees when the PTZ head returns to a reading."""
     covariance_deg2: Written[tuple[tuple[float, ...], ...] | None] = None
-    """Covariance of azimuth, pitch, roll and tilt zero in squared degrees, 4 by 4, from a calibration; instead of their
-    sigmas."""
+    """Calibrated covariance of azimuth, pitch, roll and tilt zero in squared degrees, 4 by 4, instead of sigmas."""
     lens: Written[LensConfig | None] = None
     """Zoom lens of the camera; None: the lens does not zoom, and `calibration` describes it."""
 
@@ -50,7 +46,7 @@ class MountConfig(PoseConfig):
     def _a_covariance(self) -> Self:
         if self.covariance_deg2 is None:
             return self
-        if len(self.covariance_deg2) != _ANGLES or any(len(row) != _ANGLES for row in self.covariance_deg2):
+        if [len(row) for row in self.covariance_deg2] != [4] * 4:
             raise ValueError("covariance_deg2 must be 4 by 4: azimuth, pitch, roll, tilt zero")
         matrix = np.array(self.covariance_deg2)
         if not np.allclose(matrix, matrix.T, rtol=1e-4, atol=1e-12) or np.linalg.eigvalsh(matrix)[0] < -1e-9:
@@ -68,14 +64,8 @@ class MountConfig(PoseConfig):
         covariance = np.zeros((7, 7))
         covariance[:6, :6] = pose_covariance(base, *(sigma or 0.0 for sigma in sigmas))
         covariance[6, 6] = math.radians(self.tilt_zero_sigma_deg) ** 2
-        model = MountModel(
-            base,
-            math.radians(self.tilt_zero_deg),
-            covariance,
-            self.pan_sign,
-            self.tilt_sign,
-            math.radians(self.encoder_sigma_deg),
-        )
+        tilt_zero, encoder = math.radians(self.tilt_zero_deg), math.radians(self.encoder_sigma_deg)
+        model = MountModel(base, tilt_zero, covariance, self.pan_sign, self.tilt_sign, encoder)
         if self.covariance_deg2 is None:
             return model
         return model.with_angle_covariance(np.radians(np.radians(np.array(self.covariance_deg2, np.float64))))
@@ -83,43 +73,32 @@ class MountConfig(PoseConfig):
     @property
     def angle_sigmas_deg(self) -> tuple[float, float, float, float]:
         """Return the stated sigmas of azimuth, pitch, roll and tilt zero."""
-        return (
-            self.azimuth_sigma_deg or 1.5,
-            self.pitch_sigma_deg or 0.5,
-            self.roll_sigma_deg or 0.5,
-            self.tilt_zero_sigma_deg,
-        )
+        level = self.pitch_sigma_deg or 0.5, self.roll_sigma_deg or 0.5
+        return self.azimuth_sigma_deg or 1.5, *level, self.tilt_zero_sigma_deg
 
 
 def written_mount(model: MountModel, lens: ZoomLens | None, frame: SiteFrame) -> dict[str, Any]:
     """Return the section `mount` of a calibrated PTZ head for YAML, with its position in the frame's CRS."""
     x, y, z = (float(v) for v in model.base.position)
     azimuth, pitch, roll = model.base.angles_deg
-    angles = np.degrees(np.degrees(model.angle_covariance))
-    sigmas = np.sqrt(np.diag(angles))
+    metres = {"x": x + frame.x_origin, "y": y + frame.y_origin, "z": z}
+    degrees = {"azimuth_deg": azimuth, "pitch_deg": pitch, "roll_deg": roll}
+    degrees["tilt_zero_deg"] = math.degrees(model.tilt_zero)
+    section: dict[str, Any] = {name: round(value, 3) for name, value in metres.items()}
+    section |= {name: round(value, 4) for name, value in degrees.items()}
+    section |= {"pan_sign": model.pan_sign, "tilt_sign": model.tilt_sign}
+    section["encoder_sigma_deg"] = _short(math.degrees(model.encoder_sigma))
     place = np.sqrt(np.diag(model.covariance)[:3])
-    section: dict[str, Any] = {
-        "x": round(x + frame.x_origin, 3),
-        "y": round(y + frame.y_origin, 3),
-        "z": round(z, 3),
-        "azimuth_deg": round(azimuth, 4),
-        "pitch_deg": round(pitch, 4),
-        "roll_deg": round(roll, 4),
-        "tilt_zero_deg": round(math.degrees(model.tilt_zero), 4),
-        "pan_sign": model.pan_sign,
-        "tilt_sign": model.tilt_sign,
-        "encoder_sigma_deg": _short(math.degrees(model.encoder_sigma)),
-    }
-    metres = {"position_sigma": max(place[0], place[1]), "height_sigma": place[2]}
-    section |= {key: _short(value) for key, value in metres.items() if value > 0}
-    names = ("azimuth_sigma_deg", "pitch_sigma_deg", "roll_sigma_deg", "tilt_zero_sigma_deg")
-    section |= {name: _short(max(sigma, 1e-6)) for name, sigma in zip(names, sigmas, strict=True)}
+    sigmas = {"position_sigma": max(place[0], place[1]), "height_sigma": place[2]}
+    section |= {key: _short(value) for key, value in sigmas.items() if value > 0}
+    angles = np.degrees(np.degrees(model.angle_covariance))
+    for name, variance in zip(("azimuth", "pitch", "roll", "tilt_zero"), np.diag(angles), strict=True):
+        section[f"{name}_sigma_deg"] = _short(max(math.sqrt(variance), 1e-6))
     section["covariance_deg2"] = [[float(f"{value:.8g}") for value in row] for row in (angles + angles.T) / 2]
     if lens is not None:
         config = lens.config()
-        section["lens"] = config.model_dump(exclude={"zoom"}) | {
-            "zoom": [point.model_dump(exclude_defaults=True) for point in config.zoom]
-        }
+        zoom = [point.model_dump(exclude_defaults=True) for point in config.zoom]
+        section["lens"] = config.model_dump(exclude={"zoom"}) | {"zoom": zoom}
     return section
 
 

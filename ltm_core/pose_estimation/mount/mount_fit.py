@@ -3,35 +3,122 @@
 An image's pose is exp(w) R exp(t x): R as the mount states it, w a rotation about the map's axes that all share (the
 mount's yaw, pitch and roll), t the zero of the tilt axis, about each camera's own right; and all share a place and,
 where it is free, a factor of the focal length. Single images propose corrections; that which explains all images
-best is refined over all of them at once."""
+best is refined over all of them at once.
+
+A state (8,) is a shift (m), a rotation about the map's axes (rad), the zero of the tilt axis (rad) and the logarithm of
+the focal length."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector, nearest_vector, pose_covariance, vector_of_matrix
-from ltm_core.pose_estimation.mount.mount_verdict import MountPicture, alike, judge_mount, skylines_at
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_strength
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
-from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig
-from ltm_core.pose_estimation.skyline.pose_hypothesis import Word, mean_about_best
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
-from ltm_core.pose_estimation.skyline.pose_refinement import MOST_FOCAL_STEP, ROUNDS, picture_system, skyline_fit
+from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Word, mean_about_best
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_refinement import (
+    MOST_FOCAL_STEP,
+    ROUNDS,
+    SkylineFit,
+    picture_system,
+    skyline_fit,
+)
 
 TILT_ZERO_SIGMA_DEG = 0.3
-_SURE = 3.0
-"""Number of sigmas by which a tilt zero must be significant."""
-_PROPOSALS = 3
-"""Number of hypotheses of each image that are tested on all images."""
+_SURE = 3.0  # number of sigmas by which a tilt zero must be significant
+_PROPOSALS = 3  # number of hypotheses of each image that are tested on all images
 _STARTS, _APART, _FOCAL_APART = 6, math.radians(0.25), 0.01
 """Number of corrections that are refined, and their minimum distance in azimuth and in the logarithm of the focal
 length. Far ridges are periodic, with one local optimum per peak."""
+
+
+@dataclass(frozen=True, eq=False)
+class MountPicture:
+    """Image as stated (`prior`), its own result, and the ridges around."""
+
+    prior: PosePrior
+    search: PictureSearch
+    ridges: ContourDirections
+
+    def pose(self, state: Float64Array) -> Pose:
+        """Return the pose with a correction (8,)."""
+        stated, up = self.prior.pose, matrix_of_vector([state[6], 0.0, 0.0])
+        return turned(Pose(stated.position, stated.rotation @ up), state[3:6], state[:3])
+
+    def problem(self, config: PicturePoseConfig) -> PoseProblem:
+        return PoseProblem(self.search.evidence, self.search.horizon, self.prior, config)
+
+    def camera(self, state: Float64Array) -> Camera:
+        """Return the camera with a correction (8,)."""
+        return self.search.evidence.camera.zoomed(math.exp(float(state[7])))
+
+
+def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
+    """Return the median fit of the skylines of images to the terrain's; without any skyline, all fit."""
+    fits = [
+        skyline_fit(p.pose(state), p.camera(state), p.problem(config))
+        for p in pictures
+        if p.search.evidence.skyline is not None
+    ]
+    return SkylineFit(*np.median([astuple(fit) for fit in fits], axis=0)) if fits else SkylineFit(support=1.0)
+
+
+def alike(picture: MountPicture, pictures: list[MountPicture]) -> float:
+    """Return the number of images with this viewing direction: they share the DEM's errors and count as one."""
+    width = picture.search.evidence.camera.hfov_deg
+    azimuth = picture.prior.pose.angles_deg[0]
+    away = [abs((p.prior.pose.angles_deg[0] - azimuth + 180.0) % 360.0 - 180.0) for p in pictures]
+    return float(sum(max(0.0, 1.0 - a / width) for a in away))
+
+
+def judge_mount(
+    pictures: Sequence[MountPicture],
+    found: Sequence[Pose],
+    seen: SkylineFit,
+    turns_deg: Float64Array,
+    gap: float,
+    away: float,
+    config: VerdictConfig,
+) -> tuple[Word, str]:
+    """Return the verdict and its reason. `found`: poses of the images with the correction. `seen`: fit of their
+    skylines to the terrain's. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: additional cost of
+    the next best correction. `away`: maximum deviation of any angle from the stated one, in stated sigmas."""
+    # Degrees between where images are found by themselves and where the mount puts them, and how sure they are.
+    alone = [
+        (float(np.degrees(np.abs(angles_between(pose, p.search.hypotheses[0].refined.pose)[:2]).max())), verdict)
+        for p, pose in zip(pictures, found, strict=True)
+        if (verdict := p.search.verdict).word == "accepted"
+    ]
+    off = max((apart for apart, v in alone if max(v.sigma_deg) <= config.mount_sharp_deg), default=0.0)
+    agree = len(alone) > 1 and max(apart for apart, _ in alone) <= config.mount_apart_deg
+    if any(p.search.evidence.skyline is not None for p in pictures):
+        least = config.gap_asked(seen.veiled, seen.variance)
+    else:  # more if only ridges are used, as for an image
+        planted = float(np.median([p.search.evidence.plants for p in pictures])) >= MANY_PLANTS
+        least = config.plants_gap if planted else config.ridges_gap
+    if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
+        return "ambiguous", f"the images determine the mount only to {turns_deg.max():.2f} deg"
+    if gap < least:
+        return "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
+    if seen.support < config.least_support:
+        return "ambiguous", f"only {seen.support:.0%} of the images' skylines fits the terrain's"
+    if off > config.mount_apart_deg:
+        return "ambiguous", f"an image accepted by itself is {off:.1f} deg from the mount's pose"
+    if seen.open > config.open_share and not agree:
+        return "ambiguous", "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount"
+    if away > config.contradiction:
+        return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
+    return "accepted", f"{len(pictures)} images agree"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,42 +167,35 @@ def fit_mount(
         MountPicture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
         for prior, search in zip(priors, searches, strict=True)
     ]
-    sigma = _sigmas(priors[0], tilt_zero_sigma_deg, focal_sigma)
+    level = max(priors[0].pitch_sigma_deg, priors[0].roll_sigma_deg)
+    turns = np.radians([level, level, priors[0].azimuth_sigma_deg, tilt_zero_sigma_deg])
+    sigma = np.concatenate([priors[0].sigmas[:3], turns, [focal_sigma]])
     starts = _proposals(pictures)
     if not starts:
-        return _stated(pictures, "no_skyline", "no image shows a skyline or a ridge of the DEM", sigma)
-    costs = np.array([_cost(pictures, state, sigma, config) for state in starts])
-    order = np.argsort(costs)
-    fits = []
-    for k in _apart([starts[j] for j in order]):
-        state, covariance = _refined(pictures, starts[order[k]], sigma, config)
-        fits.append((_cost(pictures, state, sigma, config), state, covariance))
-    fits.sort(key=lambda fit: fit[0])
+        poses, none = tuple(p.prior.pose for p in pictures), np.zeros(3)
+        reason = "no image shows a skyline or a ridge of the DEM"
+        return MountFit(none, 0.0, none, np.diag(sigma[:7] ** 2), poses, poses, "no_skyline", reason, 0.0, math.inf)
+    starts.sort(key=lambda state: _cost(pictures, state, sigma, config))
+    refined = [_refined(pictures, start, sigma, config) for start in _apart(starts)]
+    fits = sorted(((_cost(pictures, state, sigma, config), state, c) for state, c in refined), key=lambda fit: fit[0])
+    least, best, covariance = fits[0]
     for _, state, _ in fits[1:]:
         # Turns of half a circle to the right and to the left are one, and so is their mean.
-        state[3:6] = nearest_vector(state[3:6], fits[0][1][3:6])
+        state[3:6] = nearest_vector(state[3:6], best[3:6])
     v = config.verdict
-    gap = next(
-        (
-            cost - fits[0][0]
-            for cost, state, _ in fits[1:]
-            if abs(state[5] - fits[0][1][5]) > math.radians(v.alternative_deg)
-        ),
-        math.inf,
-    )
-    states = np.array([state for _, state, _ in fits])
-    variance = skylines_at(pictures, states[0], config).variance
+    others = (cost - least for cost, state, _ in fits if abs(state[5] - best[5]) > math.radians(v.alternative_deg))
+    gap, states = next(others, math.inf), np.array([state for _, state, _ in fits])
+    variance = skylines_at(pictures, best, config).variance
     mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, variance, v)
-    shift, w, tilt = mean[:3], mean[3:6], float(mean[6])
-    covariance = fits[0][2] + spread
+    covariance = covariance + spread
     found = tuple(p.pose(mean) for p in pictures)
     away = float((np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)).max())
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
     word, reason = judge_mount(pictures, found, skylines_at(pictures, mean, config), turns, gap, away, v)
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
     cost, focal_off = _cost(pictures, mean, sigma, config), math.sqrt(covariance[7, 7])
-    of_mount = covariance[:7, :7]
-    return MountFit(w, tilt, shift, of_mount, poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off)
+    told = covariance[:7, :7], poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off
+    return MountFit(mean[3:6], float(mean[6]), mean[:3], *told)
 
 
 def fit_ptz_mount(
@@ -134,28 +214,10 @@ def fit_ptz_mount(
     sigma = math.hypot(math.sqrt(ptz.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
     if ptz.word != "accepted" or abs(ptz.tilt_zero) < _SURE * sigma or plain.cost - ptz.cost < _SURE**2 / 2:
         return plain
-    surer = [
-        np.trace(plain.pose_covariance(k)[3:, 3:]) / np.trace(ptz.pose_covariance(k)[3:, 3:])
-        for k in range(len(priors))
-    ]
-    wider = max(1.0, *(float(share) for share in surer))
-    return replace(
-        ptz,
-        covariance=ptz.covariance * wider,
-        reason=f"{ptz.reason}, with a tilt zero off by {math.degrees(ptz.tilt_zero):+.2f}deg",
-    )
-
-
-def _stated(pictures: list[MountPicture], word: Word, reason: str, sigma: Float64Array) -> MountFit:
-    poses = tuple(p.prior.pose for p in pictures)
-    return MountFit(np.zeros(3), 0.0, np.zeros(3), np.diag(sigma[:7] ** 2), poses, poses, word, reason, 0.0, math.inf)
-
-
-def _sigmas(prior: PosePrior, tilt_zero_sigma_deg: float, focal_sigma: float) -> Float64Array:
-    """Return (8,): x, y, z; rotations about them; tilt zero; logarithm of the focal length."""
-    level = max(prior.pitch_sigma_deg, prior.roll_sigma_deg)
-    turns = np.radians([level, level, prior.azimuth_sigma_deg, tilt_zero_sigma_deg])
-    return np.concatenate([prior.sigmas[:3], turns, [focal_sigma]])
+    pairs = [(plain.pose_covariance(k)[3:, 3:], ptz.pose_covariance(k)[3:, 3:]) for k in range(len(priors))]
+    wider = max(1.0, *(float(np.trace(a) / np.trace(b)) for a, b in pairs))
+    reason = f"{ptz.reason}, with a tilt zero off by {math.degrees(ptz.tilt_zero):+.2f}deg"
+    return replace(ptz, covariance=ptz.covariance * wider, reason=reason)
 
 
 def _proposals(pictures: list[MountPicture]) -> list[Float64Array]:
@@ -170,24 +232,20 @@ def _proposals(pictures: list[MountPicture]) -> list[Float64Array]:
     return found if len(found) > 1 else []
 
 
-def _apart(states: list[Float64Array]) -> list[int]:
-    """Of corrections from the best down, the first few that differ in azimuth or focal length."""
-    kept: list[int] = []
-    for k, state in enumerate(states):
-        if len(kept) == _STARTS:
-            break
-        if all(
-            abs(nearest_vector(state[3:6], states[j][3:6])[2] - states[j][5]) > _APART
-            or abs(state[7] - states[j][7]) > _FOCAL_APART
-            for j in kept
-        ):
-            kept.append(k)
+def _apart(states: list[Float64Array]) -> list[Float64Array]:
+    """Return, of corrections from the best down, the first few that differ in azimuth or focal length."""
+    kept: list[Float64Array] = []
+    for state in states:
+        turns = (abs(nearest_vector(state[3:6], other[3:6])[2] - other[5]) for other in kept)
+        zooms = (abs(state[7] - other[7]) for other in kept)
+        alike = (turn <= _APART and zoom <= _FOCAL_APART for turn, zoom in zip(turns, zooms, strict=True))
+        if len(kept) < _STARTS and not any(alike):
+            kept.append(state)
     return kept
 
 
 def _deviation(state: Float64Array) -> Float64Array:
-    """Return (8,) of a state from what is stated, in the terms of its sigmas: of the rotation, by how much it tips the
-    vertical about x and y, and its turn about it."""
+    """Return (8,) of a state from what is stated: of the rotation, its tips of the vertical about x and y, its turn."""
     tipped = matrix_of_vector(state[3:6])[:, 2]
     return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
 
@@ -232,7 +290,11 @@ def _refined(
         gradient += inverse * _deviation(state)
         if last:
             covariance[np.ix_(free, free)] = np.linalg.inv(normal[np.ix_(free, free)])
-            covariance[3:6, 3:6] += _floor(pictures)
+            # Of pitch, what a lens is off by where the skyline lies in the image: that of every direction is another,
+            # and their mean is surer.
+            azimuth, pitch, roll = MOUNT_FLOOR_DEG
+            pitch /= math.sqrt(sum(1.0 / alike(p, pictures) for p in pictures))
+            covariance[3:6, 3:6] += pose_covariance(pictures[0].prior.pose, 0.0, 0.0, azimuth, pitch, roll)[3:, 3:]
         else:
             step = np.zeros(8)
             step[free] = np.linalg.solve(normal[np.ix_(free, free)], gradient[free])
@@ -242,14 +304,6 @@ def _refined(
             # A turn about the map's axes comes after what the state has turned: of large ones no sum would do.
             state[3:6] = vector_of_matrix(turn)
     return state, covariance
-
-
-def _floor(pictures: list[MountPicture]) -> Float64Array:
-    """Return (3, 3) of rotations about the map's axes. Of pitch, what a lens is off by where the skyline lies in the
-    image: that of every direction is another, and their mean is surer."""
-    azimuth, pitch, roll = MOUNT_FLOOR_DEG
-    directions = sum(1.0 / alike(p, pictures) for p in pictures)
-    return pose_covariance(pictures[0].prior.pose, 0.0, 0.0, azimuth, pitch / math.sqrt(directions), roll)[3:, 3:]
 
 
 def widened(prior: PosePrior, extra_deg: float) -> PosePrior:

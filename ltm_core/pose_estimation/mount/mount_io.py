@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
-import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,15 +11,15 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError
 
-from ltm_core.base.errors import PoseError, StoreError
+from ltm_core.base.errors import ConfigError, PoseError, StoreError
 from ltm_core.base.strict_model import StrictModel
-from ltm_core.base.types import Float64Array
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.points.control_points import PtzPoints
-from ltm_core.pose_estimation.points.resection_io import read_point_rows
-from ltm_core.storage.config_io import LARGEST_TABLE, read_text
+from ltm_core.pose_estimation.points.resection_io import read_point_rows, read_rows
+from ltm_core.storage.config_io import read_text
+from ltm_core.storage.disk_io import written_whole
 
 READING_COLUMNS: dict[str, Sequence[str]] = {"pan": ("pan_deg", "pan"), "tilt": ("tilt_deg", "tilt"), "zoom": ("zoom",)}
 
@@ -36,28 +34,12 @@ def read_ptz_points(path: Path | str, frame: SiteFrame, first_pixel: float = 0.0
 def read_readings(path: Path | str) -> dict[str, tuple[float, float, float]]:
     """Return the pan (deg), tilt (deg) and zoom by the image's name, of a CSV with the columns name, pan_deg, tilt_deg,
     zoom, as `ltm cameras snapshot` writes it. Raises PoseError naming file, line and column."""
-    path = Path(path)
-    reader = csv.DictReader(io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline=""))
-    found: dict[str, tuple[float, float, float]] = {}
-    try:
-        given = {(name or "").strip().lower(): name for name in reader.fieldnames or []}
-        columns = {"name": given.get("name")}
-        columns |= {key: next((given[n] for n in names if n in given), None) for key, names in READING_COLUMNS.items()}
-        lacking = [key for key, column in columns.items() if column is None]
-        if lacking:
-            raise PoseError(f"{path}: no column {', '.join(lacking)}; readings need name, pan_deg, tilt_deg, zoom")
-        for row in reader:
-            name = (row[columns["name"] or ""] or "").strip()
-            place = f"{path}, line {reader.line_num}"
-            if not name or name in found:
-                raise PoseError(f"{place}: {'the name ' + name + ' is repeated' if name else 'no name'}")
-            pan, tilt, zoom = (_number(row[columns[key] or ""], key, place) for key in READING_COLUMNS)
-            found[name] = pan, tilt, zoom
-    except csv.Error as error:
-        raise PoseError(f"{path}: not a CSV file ({error})") from error
-    if not found:
-        raise PoseError(f"{path}: contains no reading")
-    return found
+    names, values, columns = read_rows(path, READING_COLUMNS, "name, pan_deg, tilt_deg, zoom")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice or not columns["name"] or not np.isfinite(values).all():
+        fault = f"repeated names: {', '.join(twice)}" if twice else "a name is missing, or a number is not finite"
+        raise PoseError(f"{path}: {fault}; readings need name, pan_deg, tilt_deg, zoom, one row per image")
+    return {name: (pan, tilt, zoom) for name, (pan, tilt, zoom) in zip(names, values.tolist(), strict=True)}
 
 
 def append_reading(path: Path, name: str, pan_deg: float, tilt_deg: float, zoom: float) -> None:
@@ -70,27 +52,15 @@ def append_reading(path: Path, name: str, pan_deg: float, tilt_deg: float, zoom:
         writer.writerow((name, f"{pan_deg:.6g}", f"{tilt_deg:.6g}", f"{zoom:.6g}"))
 
 
-def _number(text: str | None, column: str, place: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise PoseError(f"{place}: {column} is {text!r}, not a number")
-    return value
-
-
 _LAYOUT = 1
 _LARGEST = 64 << 10
-_ROUNDING = 1e-6
-"""Share of the largest eigenvalue of a covariance by which the smallest may be negative."""
+_ROUNDING = 1e-6  # share of the largest eigenvalue of a covariance by which the smallest may be negative
 _Three = tuple[float, float, float]
-_Angle = Annotated[float, Field(ge=-7.0, le=7.0)]
-"""Angle in radians."""
+_Angle = Annotated[float, Field(ge=-7.0, le=7.0)]  # angle in radians
 
 
 class _Memory(StrictModel):
-    layout: int
+    layout: int = _LAYOUT
     terms: str
     """Terms for which the state is valid (`mount_terms`)."""
     state: MountState
@@ -107,32 +77,27 @@ def memory_file(folder: Path, camera: str) -> Path:
 
 def write_memory(path: Path, watch: MountWatch, terms: str) -> None:
     """Replace the previous file atomically. Raises StoreError."""
-    angles = watch.correction.angles
+    c = watch.correction
+    values = {"rotation": c.rotation, "angles": c.angles, "tilt_covariance": c.tilt_covariance}
     memory = _Memory(
-        layout=_LAYOUT,
         terms=terms,
         state=watch.state,
         reason=watch.reason[:2000],
-        rotation=watch.correction.rotation.tolist(),
-        angles=None if angles is None else angles.tolist(),
-        tilt_zero=watch.correction.tilt_zero,
-        tilt_covariance=watch.correction.tilt_covariance.tolist(),
+        tilt_zero=c.tilt_zero,
+        **{key: None if value is None else value.tolist() for key, value in values.items()},
     )
-    partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(exist_ok=True)
-        with partial.open("w", encoding="utf-8") as file:
+        with written_whole(path) as partial, partial.open("w", encoding="utf-8") as file:
             file.write(memory.model_dump_json(indent=1))
             file.flush()
             os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError as error:
-        raise StoreError(f"{path}: cannot save the state of the mount ({error.strerror})") from error
+    except (ConfigError, OSError) as error:
+        raise StoreError(f"{path}: cannot save the state of the mount ({error})") from error
 
 
 def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
-    """Restore the state of a mount; return False if none is kept, or if it is of other terms. Raises StoreError for an
-    invalid file."""
+    """Restore the state of a mount; return False if none is kept for these terms. Raises StoreError for a bad file."""
     if not path.exists():
         return False
     try:
@@ -142,17 +107,13 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
     if memory.layout != _LAYOUT or memory.terms != terms:
         return False
     angles = None if memory.angles is None else np.array(memory.angles)
-    if angles is not None and not _is_covariance(angles, memory.tilt_covariance):
-        raise StoreError(f"{path}: its angles and tilt_covariance are not a covariance; remove it")
+    if angles is not None:  # no slip could be detected against sigmas that are not finite
+        joint = np.zeros((4, 4))
+        joint[:3, :3], joint[3], joint[:, 3] = angles, memory.tilt_covariance, memory.tilt_covariance
+        values = np.linalg.eigvalsh((joint + joint.T) / 2)
+        slack = _ROUNDING * values[-1]
+        if not (values[0] >= -slack and np.abs(joint - joint.T).max() <= slack):
+            raise StoreError(f"{path}: its angles and tilt_covariance are not a covariance; remove it")
     tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
     watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
     return True
-
-
-def _is_covariance(angles: Float64Array, tilt: tuple[float, float, float, float]) -> bool:
-    """Reject sigmas that are not finite, against which no slip could be detected."""
-    joint = np.empty((4, 4))
-    joint[:3, :3], joint[3], joint[:, 3] = angles, tilt, tilt
-    values = np.linalg.eigvalsh((joint + joint.T) / 2)
-    slack = _ROUNDING * values[-1]
-    return bool(values[0] >= -slack and np.abs(joint - joint.T).max() <= slack)

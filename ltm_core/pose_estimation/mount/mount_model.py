@@ -15,8 +15,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt, matrix_of_vector
 from ltm_core.pose_estimation.skyline.pose_prior import angle_slopes, turned
 
-_UNKNOWN = 1.0
-"""Variance in rad^2 above which a direction is unknown."""
+_UNKNOWN = 1.0  # variance in rad^2 above which a direction is unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +54,7 @@ class PoseCorrection:
         return corrected, covariance
 
     def angles_at(self, corrected: Pose) -> Float64Array:
-        """Return (3, 3) the angle covariance of a corrected pose, which depends on pan if the tilt zero is
-        uncertain."""
+        """Return (3, 3) the angle covariance of a corrected pose; it depends on pan if the tilt zero is uncertain."""
         assert self.angles is not None  # nosec B101 # tells the type checker what holds
         right, cross = corrected.rotation[:, 0], self.tilt_covariance[:3]
         both = np.outer(cross, right)
@@ -103,12 +101,8 @@ class MountModel:
         self, rotation: Float64Array, tilt_zero: float, shift: Float64Array, covariance: Float64Array
     ) -> MountModel:
         """Return the mount with a correction as in `MountFit`."""
-        return replace(
-            self,
-            base=turned(self.base, rotation, shift),
-            tilt_zero=self.tilt_zero + tilt_zero,
-            covariance=np.asarray(covariance, np.float64),
-        )
+        base = turned(self.base, rotation, shift)
+        return replace(self, base=base, tilt_zero=self.tilt_zero + tilt_zero, covariance=covariance)
 
     @property
     def angle_covariance(self) -> Float64Array:
@@ -130,8 +124,7 @@ class MountModel:
         return to_angles
 
     def direction_sigma_deg(self, pan_deg: float) -> float:
-        """Return the standard deviation of the viewing direction by the calibration alone, across the worse
-        direction."""
+        """Return the standard deviation of the viewing direction by the calibration alone, across its worse side."""
         still = replace(self, encoder_sigma=0.0)
         pose, covariance = still.pose(pan_deg, 0.0)
         across = pose.rotation[:, :2]
@@ -144,6 +137,5 @@ def ptz_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign)
 
 
 def ptz_rotation(pan: float, tilt: float) -> Float64Array:
-    """Return (3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes: pan about down, tilt about
-    right."""
+    """Return (3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes."""
     return matrix_of_pan_tilt(pan, tilt)

@@ -2,10 +2,11 @@
 
 Shared by all images are the mount's rotation, the zero of its tilt axis and its place, and where asked for a factor
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
-form (`mount_verdict.closed_forms`), least squares in the image, as in `resection`."""
+form (`closed_forms`), least squares in the image, as in `resection`."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -15,25 +16,23 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
+from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.pose_estimation.lens import LensPrior
-from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign
-from ltm_core.pose_estimation.mount.mount_verdict import STEEPEST_LEAN, closed_forms
+from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign, ptz_angles, ptz_rotation
 from ltm_core.pose_estimation.points.control_points import PtzPoints
-from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY
+from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY, named
 from ltm_core.pose_estimation.skyline.pose_prior import turned
-from ltm_core.visibility.footprint import line_of_sight_vectors
+from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 LEAST_LANDMARKS = 4
 """Minimum number of landmarks. With two, the lean of the mount and the zero of its tilt cannot be separated; with
 three, no error is detected."""
-WORST_SIGMA_DEG = 0.3
-"""Worst standard deviation of a direction on the circle, in degrees, above which landmarks are too close together in
-pan."""
+WORST_SIGMA_DEG = 0.3  # worst sigma of a direction on the circle for landmarks far enough apart in pan
 _LEAN_SIGMA, _TILT_SIGMA, _FOCAL_SIGMA = math.radians(2.0), math.radians(2.0), 0.05
 """Weak priors on the lean of a mount, on its tilts and on a table's focal lengths, compared with four landmarks."""
-_SIGN_GAIN = 3.0
-"""Factor by which another sign of an axis must fit the landmarks better than the stated one."""
+Signs = tuple[Sign, Sign]  # of pan and tilt
+_SIGN_GAIN = 3.0  # factor by which another sign of an axis must fit the landmarks better than the stated one
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +68,20 @@ def resect_mount(
 
     `points`: at least four landmarks, spread in pan. `start`: its place, lean, signs and sigmas; its azimuth is not
     used. `bend`: `geodesy.ray_bend`. `free_focal`: fit the lens at each zoom, within some 5 percent. `free_position`:
-    fit the place too, within the sigmas of `start`. `sigma_px`: minimum standard deviation of a mark in pixels.
-    `free_k1`: fit the radial distortion at each zoom too."""
-    _check(points, lens)
+    fit the place too, within the sigmas of `start`. `sigma_px`: minimum of a mark. `free_k1`: fit k1 at each zoom."""
+    count = len(np.unique(points.places, axis=0))
+    if count < LEAST_LANDMARKS:
+        raise PoseError(
+            f"{count} landmarks: a mount needs at least {LEAST_LANDMARKS} different ones, spread in pan: with fewer, "
+            "its lean and the zero of its tilt cannot be separated"
+        )
+    outside = (points.pixels < -0.5) | (points.pixels > np.array([lens.width, lens.height]) - 0.5)
+    if outside.any():
+        names = ", ".join(np.array(points.names)[outside.any(axis=1)])
+        raise PoseError(f"landmarks outside the {lens.width} x {lens.height} image: {names}")
     problem = _Adjustment(points, start, lens, bend, free_focal, free_position, sigma_px, free_k1)
     stated = (start.pan_sign, start.tilt_sign)
-    fits: dict[tuple[Sign, Sign], tuple[float, MountModel, Float64Array]] = {}
+    fits: dict[Signs, tuple[float, MountModel, Float64Array]] = {}
     for signs, model in closed_forms(points, start, lens, bend).items():
         median, state = problem.robust_fit(model)
         fits[signs] = median, model, state
@@ -87,27 +94,13 @@ def resect_mount(
     best = min(fits, key=lambda signs: fits[signs][0])
     if stated in fits and fits[stated][0] <= _SIGN_GAIN * max(fits[best][0], sigma_px):
         best = stated
-    notes = []
-    if best != stated:
-        axes = [name for name, x, y in zip(("pan", "tilt"), best, stated, strict=True) if x != y]
-        notes.append(f"{' and '.join(axes)} has the opposite sign of the stated one: only so do the landmarks fit")
     _, model, state = fits[best]
-    return problem.solved(model, state, notes)
-
-
-def _check(points: PtzPoints, lens: ZoomLens) -> None:
-    different = {tuple(place) for place in points.places.tolist()}
-    if len(different) < LEAST_LANDMARKS:
-        raise PoseError(
-            f"{len(different)} landmarks: a mount needs at least {LEAST_LANDMARKS} different ones, spread in pan: "
-            "with fewer, its lean and the zero of its tilt cannot be separated"
-        )
-    u, v = points.pixels.T
-    outside = (u < -0.5) | (v < -0.5) | (u > lens.width - 0.5) | (v > lens.height - 0.5)
-    if outside.any():
-        raise PoseError(
-            f"landmarks outside the {lens.width} x {lens.height} image: {', '.join(np.array(points.names)[outside])}"
-        )
+    found = problem.solved(model, state)
+    axes = [name for name, x, y in zip(("pan", "tilt"), best, stated, strict=True) if x != y]
+    if not axes:
+        return found
+    note = f"{' and '.join(axes)} has the opposite sign of the stated one: only so do the landmarks fit"
+    return replace(found, notes=(note, *found.notes))
 
 
 class _Adjustment:
@@ -147,68 +140,59 @@ class _Adjustment:
             state = self._least(state, everyone, loss, self._scale(state))
         return float(np.median(np.linalg.norm(self._residuals(state), axis=1))), state
 
-    def solved(self, model: MountModel, state: Float64Array, notes: list[str]) -> MountResection:
+    def solved(self, model: MountModel, state: Float64Array) -> MountResection:
         """Return the result from a robust fit: least squares over the landmarks without outliers."""
         self._begun = model
-        count = len(self._points.names)
-        used = np.ones(count, bool)
+        names, used = self._points.names, np.ones(len(self._points.names), bool)
         for _ in range(10):
             off = np.linalg.norm(self._residuals(state), axis=1)
             now = off <= OUTLIER_SIGMAS * self._scale(state)
             if now.mean() < 1 - MAX_OUTLIER_SHARE or now.sum() < LEAST_LANDMARKS:
-                worst = [k for k in np.argsort(-off) if not now[k]]
-                named = ", ".join(f"{self._points.names[k]} (off by {off[k]:.0f} px)" for k in worst[:8])
-                raise PoseError(f"{len(worst)} of {count} landmarks do not fit a common mount: {named}. {REMEDY}")
+                raise PoseError(
+                    f"{(~now).sum()} of {len(names)} landmarks do not fit a common mount: "
+                    f"{named(names, off, ~now)}. {REMEDY}"
+                )
             settled = bool((now == used).all())
             used = now
             state = self._least(state, used, "linear", self._sigma_px)
             if settled:
                 break
-        return self._result(state, used, notes)
+        return self._result(state, used)
 
-    def _result(self, state: Float64Array, used: BoolArray, notes: list[str]) -> MountResection:
-        residuals = self._residuals(state)
+    def _result(self, state: Float64Array, used: BoolArray) -> MountResection:
+        focal = slice(7, 7 + len(self._zooms))
         # The encoders' errors are free, so that each preset takes up two coordinates of its own.
         bound = 7 - 3 * (not self._free[0]) + int(self._free[7 : 7 + 2 * len(self._zooms)].sum())
         spare = max(2 * int(used.sum()) - bound, 1)
+        factor = max(1.0, float(np.linalg.norm(self._rows(state, used, self._sigma_px))) / math.sqrt(spare))
         jacobian = self._jacobian(state, used)
-        weighted = np.linalg.norm(self._rows(state, used, self._sigma_px))
-        factor = max(1.0, float(weighted) / math.sqrt(spare))
-        normal = jacobian.T @ jacobian
         inverse = np.zeros((len(self._prior), len(self._prior)))
-        inverse[np.ix_(self._free, self._free)] = np.linalg.pinv(normal) * factor**2
+        inverse[np.ix_(self._free, self._free)] = np.linalg.pinv(jacobian.T @ jacobian) * factor**2
         covariance = inverse[:7, :7]
         if not self._free[0]:
             covariance[:3, :3] = self._start.covariance[:3, :3]
         whole = self._whole(state)
-        model = self._model(whole)
-        model = replace(model, covariance=covariance)
-        pans = np.arange(0.0, 360.0, 10.0)
-        sigmas = [model.direction_sigma_deg(pan) for pan in pans]
-        worst = float(pans[int(np.argmax(sigmas))]), float(max(sigmas))
-        focal = slice(7, 7 + len(self._zooms))
-        factors = dict(zip(map(float, self._zooms), map(float, np.exp(whole[focal])), strict=True))
-        bends = dict(zip(map(float, self._zooms), map(float, whole[focal.stop :]), strict=False))
-        deviations = np.sqrt(np.maximum(np.diag(inverse)[focal], 0.0))
-        open_focal = bool(self._free[focal].any())
-        if worst[1] > WORST_SIGMA_DEG:
-            span = _span_deg(self._points.readings[used, 0])
-            notes = [
-                *notes,
-                f"the landmarks span {span:.0f} deg of pan only: at pan {worst[0]:.0f} the direction is uncertain by "
-                f"{worst[1]:.2f} deg; mark some there",
-            ]
+        model = replace(self._model(whole), covariance=covariance)
+        sigmas = {pan: model.direction_sigma_deg(pan) for pan in np.arange(0.0, 360.0, 10.0).tolist()}
+        worst = max(sigmas, key=sigmas.__getitem__)
+        lens, factors, deviations = self._lens, dict[float, float](), dict[float, float]()
+        if self._free[focal].any():
+            zooms = self._zooms.tolist()
+            factors = dict(zip(zooms, np.exp(whole[focal]).tolist(), strict=True))
+            deviations = dict(zip(zooms, np.sqrt(np.maximum(np.diag(inverse)[focal], 0.0)).tolist(), strict=True))
+            lens = lens.scaled(factors, dict(zip(zooms, whole[focal.stop :].tolist(), strict=False)))
+        notes: tuple[str, ...] = ()
+        if sigmas[worst] > WORST_SIGMA_DEG:
+            pans = np.sort(self._points.readings[used, 0] % 360.0)
+            span = 360.0 - float(np.diff(np.append(pans, pans[0] + 360.0)).max())  # the shortest arc that holds all
+            notes = (
+                f"the landmarks span {span:.0f} deg of pan only: at pan {worst:.0f} the direction is uncertain by "
+                f"{sigmas[worst]:.2f} deg; mark some there",
+            )
+        at_worst, sigma_px = (worst, sigmas[worst]), self._sigma_px * factor
+        residuals = self._residuals(state)
         return MountResection(
-            self._points,
-            model,
-            self._lens.scaled(factors, bends) if open_focal else self._lens,
-            residuals,
-            used,
-            self._sigma_px * factor,
-            worst,
-            factors if open_focal else {},
-            dict(zip(map(float, self._zooms), map(float, deviations), strict=True)) if open_focal else {},
-            tuple(notes),
+            self._points, model, lens, residuals, used, sigma_px, at_worst, factors, deviations, notes
         )
 
     def _whole(self, state: Float64Array) -> Float64Array:
@@ -260,17 +244,54 @@ class _Adjustment:
         return np.asarray(solved.x, np.float64)
 
     def _jacobian(self, state: Float64Array, used: BoolArray) -> Float64Array:
+        def rows(moved: Float64Array) -> Float64Array:
+            return self._rows(moved, used, self._sigma_px)
+
         step = 1e-6
-        columns = [
-            (self._rows(state + move, used, self._sigma_px) - self._rows(state - move, used, self._sigma_px))
-            / (2 * step)
-            for move in step * np.eye(len(state))
-        ]
-        return np.column_stack(columns)
+        return np.column_stack([(rows(state + m) - rows(state - m)) / (2 * step) for m in step * np.eye(len(state))])
 
 
-def _span_deg(pans: Float64Array) -> float:
-    """Return the shortest arc that holds all pans."""
-    at = np.sort(np.asarray(pans) % 360.0)
-    gaps = np.diff(np.append(at, at[0] + 360.0))
-    return float(360.0 - gaps.max())
+STEEPEST_LEAN = math.radians(20.0)  # maximum lean of a mount from its stated orientation
+_REACHED = 3  # number of landmarks that must fit the mount of a pair before it is fitted to all of them
+_MOST_PAIRS = 200
+
+
+def closed_forms(points: PtzPoints, start: MountModel, lens: ZoomLens, bend: float) -> dict[Signs, MountModel]:
+    """Return, for each sign of pan and tilt, the stated ones first, the mount that most landmarks agree on."""
+    sights = line_of_sight_vectors(start.base.position, points.places, bend)
+    sights /= np.linalg.norm(sights, axis=1, keepdims=True)
+    cameras = [lens.camera(zoom) for zoom in points.readings[:, 2]]
+    rays = np.array([pixel_rays(c, p[None])[0] for c, p in zip(cameras, points.pixels, strict=True)])
+    either: Signs = (1, -1)
+    found = {}
+    for pan, tilt in sorted(itertools.product(either, either), key=lambda s: s != (start.pan_sign, start.tilt_sign)):
+        turns = np.array([ptz_rotation(*ptz_angles(p, t, pan, tilt)) for p, t, _ in points.readings])
+        best = _best_rotation(np.einsum("nij,nj->ni", turns, rays), sights, start)
+        if best is not None:
+            base = Pose(start.base.position, best)
+            found[pan, tilt] = replace(start, base=base, tilt_zero=0.0, pan_sign=pan, tilt_sign=tilt)
+    return found
+
+
+def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel) -> Float64Array | None:
+    """Return the rotation of the mount with the least median angle: from a pair of landmarks, then from all that fit
+    this; None if all lean too far."""
+
+    def off(rotation: Float64Array) -> Float64Array:
+        cosine = np.einsum("ni,ni->n", in_ptz @ rotation.T, sights)
+        return np.asarray(np.arccos(np.clip(cosine, -1, 1)), np.float64)
+
+    pairs = np.array(list(itertools.combinations(range(len(sights)), 2)))
+    best: tuple[float, Float64Array] | None = None
+    for two in pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]:
+        if np.linalg.norm(np.cross(sights[two[0]], sights[two[1]])) < 0.01:
+            continue
+        rotation = Rotation.align_vectors(sights[two], in_ptz[two])[0].as_matrix()
+        near = off(rotation) <= max(2 * float(np.median(off(rotation))), math.radians(0.5))
+        if near.sum() >= _REACHED:
+            rotation = Rotation.align_vectors(sights[near], in_ptz[near])[0].as_matrix()
+        median = float(np.median(off(rotation)))
+        lean = math.acos(float(np.clip(rotation[:, 1] @ start.base.rotation[:, 1], -1, 1)))
+        if lean <= STEEPEST_LEAN and (best is None or median < best[0]):
+            best = median, rotation
+    return None if best is None else best[1]

@@ -31,31 +31,20 @@ from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, refine, sky
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
-_KEPT = 16
-"""Maximum number of horizons kept, as many as a PTZ head has presets."""
-_STEP_DEG = 2.0
-"""Difference in degrees below which two directions share a horizon."""
-_TRACKING = (*ROUNDS[::2], ROUNDS[-1])
-"""Number of rounds of the fit for an image of a known mount, which starts close to the solution."""
-_TRACKED_SIGMA_DEG = 1.0
-"""Standard deviation of each angle in degrees within which an image of a known mount may deviate."""
-_TURN_STEP_DEG, _TURN_STEPS = 0.25, 8
-"""Step in degrees and number of the turns to either side of a known pose at which the skyline is tested."""
-_TURN_NEAR = 2
-"""Number of steps within which a fit from the known pose finds the turn itself."""
-_TURN_GAIN = 2.0
-"""Minimum difference of cost between a turned and the known pose."""
+_KEPT = 16  # maximum number of horizons kept, as many as a PTZ head has presets
+_STEP_DEG = 2.0  # difference in degrees below which two directions share a horizon
+_TRACKING = (*ROUNDS[::2], ROUNDS[-1])  # rounds of the fit for an image of a known mount, near the solution
+_TRACKED_SIGMA_DEG = 1.0  # sigma of each angle within which an image of a known mount may deviate
+_TURN_STEP_DEG, _TURN_STEPS = 0.25, 8  # turns to either side of a known pose that the skyline is tested at
+_TURN_NEAR = 2  # number of steps within which a fit from the known pose finds the turn itself
+_TURN_GAIN = 2.0  # minimum difference of cost between a turned and the known pose
 
 
 class MountState(Enum):
-    STATED = "stated"
-    """Poses are used as stated: too few clear images so far."""
-    HELD = "held"
-    """Poses are corrected, and images agree."""
-    SLIPPED = "slipped"
-    """Images show another viewing direction, which is not known yet."""
-    CONTRADICTED = "contradicted"
-    """Images agree with each other, but differ from the stated pose by more than its sigmas allow."""
+    STATED = "stated"  # poses are used as stated: too few clear images so far
+    HELD = "held"  # poses are corrected, and images agree
+    SLIPPED = "slipped"  # images show another viewing direction, which is not known yet
+    CONTRADICTED = "contradicted"  # images agree with each other, but not with the stated pose and its sigmas
 
 
 class MountWatch:
@@ -80,11 +69,9 @@ class MountWatch:
         self._priors: list[PosePrior] = []
         self._searches: list[PictureSearch] = []
         self._contradictions: list[Float64Array] = []
-        """Deviations from the stated pose (azimuth, pitch and roll in degrees) of clear images that show nothing near
-        it."""
+        """Turns (rad) from the stated pose of clear images that show nothing near it."""
         self._tracked: deque[Float64Array | None] = deque(maxlen=config.judged)
-        """For each clear image of a known mount: deviation of the camera in radians of azimuth, pitch and roll, where
-        it exceeds the errors."""
+        """Turn (rad) of each clear image of a known mount, where it exceeds the errors."""
         self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
     def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
@@ -125,14 +112,11 @@ class MountWatch:
         search = self._find(evidence, wide)
         if search.verdict.word != "accepted" or search.verdict.support < self._search.verdict.clear_support:
             return False
-        turn = np.degrees(angles_between(prior.pose, search.hypotheses[0].refined.pose))
-        self._contradictions.append(np.asarray(turn, np.float64))
+        self._contradictions.append(angles_between(prior.pose, search.hypotheses[0].refined.pose))
         if len(self._contradictions) >= self._config.gather:
-            azimuth, pitch, roll = np.median(self._contradictions, axis=0)
             reason = (
-                f"{len(self._contradictions)} clear images show the terrain {azimuth:+.1f}, {pitch:+.1f}, "
-                f"{roll:+.1f} deg in azimuth, pitch and roll from the stated pose, which exceeds its sigmas: correct "
-                "one of them"
+                f"{len(self._contradictions)} clear images show the terrain {_turn(self._contradictions, 1)} from the "
+                "stated pose, which exceeds its sigmas: correct one of them"
             )
             self._become(MountState.CONTRADICTED, self._nowhere(), reason)
         return True
@@ -173,39 +157,34 @@ class MountWatch:
         horizon, ridges = self._horizon(evidence, prior)
         problem = PoseProblem(evidence, horizon, prior, self._search)
         around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
-        begun = [
-            refine(start, evidence.camera, problem, around, _TRACKING)
-            for start in (pose, clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline))
-            if start is not None
-        ]
+        turn = clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline)
+        starts = [pose] if turn is None else [pose, turn]
+        begun = [refine(start, evidence.camera, problem, around, _TRACKING) for start in starts]
         found = min(begun, key=lambda refined: refined.cost)
         here = skyline_fit(pose, evidence.camera, problem).support
-        refined, covariance, support = found.pose, found.covariance[3:6, 3:6], found.skyline.support
         least = self._search.verdict.clear_support
-        if max(here, support) < least:
+        if max(here, found.skyline.support) < least:
             # Far off, or fog: only a search of its own tells.
             search = self._find(evidence, PosePrior(pose, *(self._config.slip_sigma_deg,) * 3))
             if search.verdict.word != "accepted":
                 return False
-            best = search.hypotheses[0].refined
-            refined, covariance = best.pose, best.covariance[3:6, 3:6]
-        off = angles_between(pose, refined)
-        slopes = angle_slopes(refined)
-        sigmas = np.sqrt(np.diag(slopes @ (covariance + self.correction.angles_at(pose)) @ slopes.T))
+            found = search.hypotheses[0].refined
+        off = angles_between(pose, found.pose)
+        slopes = angle_slopes(found.pose)
+        sigmas = np.sqrt(np.diag(slopes @ (found.covariance[3:6, 3:6] + self.correction.angles_at(pose)) @ slopes.T))
         limits = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * sigmas
         self._tracked.append(off if (np.abs(off) > limits).any() else None)
         self._judge()
         return True
 
     def _judge(self) -> None:
-        elsewhere = [np.degrees(off) for off in self._tracked if off is not None]
+        elsewhere = [off for off in self._tracked if off is not None]
         if len(elsewhere) < self._config.slipped:
             return
-        azimuth, pitch, roll = np.median(elsewhere, axis=0)
         self.slips += 1
         reason = (
             f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
-            f"{azimuth:+.2f}, {pitch:+.2f}, {roll:+.2f} deg in azimuth, pitch and roll"
+            f"{_turn(elsewhere, 2)}"
         )
         self._become(MountState.SLIPPED, self._nowhere(), reason)
 
@@ -228,6 +207,12 @@ class MountWatch:
         return self._horizons[key]
 
 
+def _turn(turns: list[Float64Array], digits: int) -> str:
+    """Return the median of turns (rad) in words."""
+    angles = ", ".join(f"{angle:+.{digits}f}" for angle in np.degrees(np.median(turns, axis=0)))
+    return f"{angles} deg in azimuth, pitch and roll"
+
+
 def unknown_angles() -> Float64Array:
     """Return (3, 3) the covariance of unknown angles, with which nothing is located."""
     return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2
@@ -236,15 +221,13 @@ def unknown_angles() -> Float64Array:
 def clearer_turn(
     skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon, config: SkylineConfig
 ) -> Pose | None:
-    """Return the turned pose that fits the skyline of an undistorted camera clearly better than the known pose, if any;
-    a fit from the known pose ends on the nearest hill."""
+    """Return the turned pose that fits the skyline clearly better than the known one, if any; a fit ends too near."""
     azimuth, pitch, roll = known.pose.angles_deg
-    tilt = math.radians(known.pitch_sigma_deg), math.radians(known.roll_sigma_deg)
     turns = math.radians(_TURN_STEP_DEG) * np.arange(-_TURN_STEPS, _TURN_STEPS + 1)
     azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)
-    found = search_azimuths(skyline, camera, pitch, roll, tilt, horizon, azimuths, 0.0, config)
+    found = search_azimuths(skyline, camera, known, horizon, azimuths, 0.0, config)
     best = int(np.argmin(found.cost))
     if abs(best - _TURN_STEPS) < _TURN_NEAR or found.cost[best] > found.cost[_TURN_STEPS] - _TURN_GAIN:
         return None
-    up, over = (math.degrees(float(change[best])) for change in (found.pitch, found.roll))
-    return Pose.from_angles(known.pose.position, math.degrees(float(azimuths[best])), pitch + up, roll + over)
+    turned, up, over = (math.degrees(float(change[best])) for change in (azimuths, found.pitch, found.roll))
+    return Pose.from_angles(known.pose.position, turned, pitch + up, roll + over)

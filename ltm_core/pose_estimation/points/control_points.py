@@ -64,18 +64,14 @@ class PtzPoints(MarkedPoints):
     readings: Float64Array
 
 
-FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)
-"""Factors of the stated focal length that are tried if it is free, in steps of 5 %."""
+FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)  # of the stated focal length, tried if it is free
 MAX_PAIRS = 400
-MIN_SEPARATION = 0.03
-"""Minimum separation of points as a share of the image's diagonal; closer points give no rotation."""
+MIN_SEPARATION = 0.03  # minimum separation of points as a share of the image's diagonal; closer points give no rotation
 STARTS = 4
 MAX_TRIPLES = 150
-MIN_TRIANGLE = 0.002
-"""Minimum area spanned by three points as a share of the squared diagonal; smaller ones give no position."""
+MIN_TRIANGLE = 0.002  # minimum area of three points, share of the squared diagonal; smaller ones give no position
 FREE_STARTS = 6
-APART = 0.05
-"""Distance between starts of a free position, as a share of the points' median distance."""
+APART = 0.05  # distance between starts of a free position, as a share of the points' median distance
 
 
 def coarse_poses(
@@ -93,26 +89,22 @@ def coarse_poses(
     sights /= np.linalg.norm(sights, axis=1, keepdims=True)
     first, second = _pairs(points, sights, diagonal)
     limit = diagonal * (0.1 if position_free else 0.05)
-
     candidates: list[tuple[float, Camera, Pose]] = []
     for factor in FOCAL_FACTORS if focal_free else (1.0,):
         scaled = camera.zoomed(float(factor))
         rays = pixel_rays(scaled, points.pixels)
         rotations = _bases(sights[first], sights[second]) @ np.swapaxes(_bases(rays[first], rays[second]), 1, 2)
         costs = _costs(scaled, rotations, sights, points.pixels, limit)
-        for k in np.argsort(costs, kind="stable")[:STARTS]:
-            if np.isfinite(rotations[k]).all():
-                candidates.append((float(costs[k]), scaled, Pose(position, _orthonormal(rotations[k]))))
-    candidates.sort(key=lambda candidate: candidate[0])
-    starts = [(camera, pose) for _, camera, pose in candidates[:STARTS]]
+        best = [k for k in np.argsort(costs, kind="stable")[:STARTS] if np.isfinite(rotations[k]).all()]
+        candidates += [(float(costs[k]), scaled, Pose(position, _orthonormal(rotations[k]))) for k in best]
+    starts = [(camera, pose) for _, camera, pose in sorted(candidates, key=lambda found: found[0])[:STARTS]]
     if position_free:
         starts += _poses_from_triples(points, camera, focal_free, bend, limit)
     if angles_deg is not None:
         starts.append((camera, Pose.from_angles(position, *angles_deg)))
     if not starts:
         raise PoseError(
-            f"the pixels of the control points {', '.join(points.names)} have no rays with the distortion "
-            f"{camera.distortion}: check it"
+            f"points {', '.join(points.names)} have no rays with the distortion {camera.distortion}: check it"
         )
     return starts
 
@@ -136,9 +128,8 @@ def _poses_from_triples(
         for k in np.argsort(costs, kind="stable")[:FREE_STARTS]:
             distance = float(np.median(np.linalg.norm(sights[k], axis=1)))
             candidates.append((float(costs[k]), distance, scaled, Pose(positions[k], _orthonormal(rotations[k]))))
-    candidates.sort(key=lambda candidate: candidate[0])
     starts: list[tuple[Camera, Pose]] = []
-    for _, distance, scaled, pose in candidates:
+    for _, distance, scaled, pose in sorted(candidates, key=lambda candidate: candidate[0]):
         near = (np.linalg.norm(pose.position - other.position) < APART * distance for _, other in starts)
         if len(starts) < FREE_STARTS and not any(near):
             starts.append((scaled, pose))
@@ -150,10 +141,12 @@ def _triples(points: ControlPoints, diagonal: float) -> Int64Array:
     triples = np.array(list(combinations(range(len(points.names)), 3))).reshape(-1, 3)
     a, b, c = (points.pixels[triples[:, k]] for k in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    triples = triples[area > MIN_TRIANGLE * diagonal**2]
-    if len(triples) > MAX_TRIPLES:
-        triples = triples[np.random.default_rng(0).choice(len(triples), MAX_TRIPLES, replace=False)]
-    return np.asarray(triples, np.int64)
+    return _some(triples[area > MIN_TRIANGLE * diagonal**2], MAX_TRIPLES)
+
+
+def _some(rows: Int64Array, most: int) -> Int64Array:
+    """Return rows, at most `most` of them, drawn with a fixed seed."""
+    return rows if len(rows) <= most else rows[np.random.default_rng(0).choice(len(rows), most, replace=False)]
 
 
 def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
@@ -162,9 +155,8 @@ def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[F
         return []
     # Near zero, so that the solver's polynomials keep their digits.
     middle = places.mean(axis=0)
-    _, turns, shifts = cv2.solveP3P(
-        places - middle, rays[:, :2] / rays[:, 2:], np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P
-    )
+    marks = rays[:, :2] / rays[:, 2:]
+    _, turns, shifts = cv2.solveP3P(places - middle, marks, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P)
     found = []
     for turn, shift in zip(turns, shifts, strict=True):
         rotation = cv2.Rodrigues(turn)[0].T
@@ -182,15 +174,12 @@ def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tupl
     far = (apart > MIN_SEPARATION * diagonal) & (turn > 1e-3)
     if not far.any():
         raise PoseError(
-            f"the control points {', '.join(points.names)} are too close together: they span {apart.max():.0f} "
-            "px of the "
-            f"image (at least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees "
-            "as seen from the camera; mark points further apart"
+            f"the control points {', '.join(points.names)} are too close together: they span {apart.max():.0f} px (at "
+            f"least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees as seen "
+            "from the camera; mark points further apart"
         )
-    pairs = pairs[far]
-    if len(pairs) > MAX_PAIRS:
-        pairs = pairs[np.random.default_rng(0).choice(len(pairs), MAX_PAIRS, replace=False)]
-    return pairs[:, 0], pairs[:, 1]
+    first, second = _some(pairs[far], MAX_PAIRS).T
+    return first, second
 
 
 def _bases(a: Float64Array, b: Float64Array) -> Float64Array:

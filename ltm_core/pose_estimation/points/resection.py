@@ -7,7 +7,7 @@ Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision).""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose, pose_sigmas
+from ltm_core.geometry.pose import pose_sigmas
 from ltm_core.pose_estimation.lens import LensPrior, RadialTrend
 from ltm_core.pose_estimation.points.control_points import ControlPoints, coarse_poses
 from ltm_core.pose_estimation.points.resection_adjustment import (
@@ -24,13 +24,12 @@ from ltm_core.pose_estimation.points.resection_adjustment import (
     PARAMETERS,
     Adjustment,
     Fit,
+    Free,
     NoCommonPoseError,
     Parameter,
     check_fit,
     check_points,
     hold_for_redundancy,
-    median_px,
-    size_of,
     unbearable,
 )
 from ltm_core.tracing import TerrainTracer
@@ -38,36 +37,21 @@ from ltm_core.visibility.footprint import line_of_sight_vectors, pixel_rays
 
 
 @dataclass(frozen=True, eq=False)
-class Resection:
-    """A fitted camera.
+class Resection(Fit):
+    """A fitted camera with its points.
 
-    `residuals`: (N, 2) pixels, marked minus projected; NaN for a point behind the camera. `used`: (N,) the points that
-    were not outliers. `sigma_px`: standard deviation of one measured coordinate, from the residuals but not below the
-    stated one. `held`: parameters that were asked for but not fitted, with the reason. `sigmas`: standard deviations by
-    name: azimuth_deg, pitch_deg, roll_deg, and of the fitted ones fx, cx, cy (pixels), k1, k2, k3, x, y, z (metres).
+    `held`: parameters that were asked for but not fitted, with the reason. `sigmas`: standard deviations by name:
+    azimuth_deg, pitch_deg, roll_deg, and of the fitted ones fx, cx, cy (pixels), k1, k2, k3, x, y, z (metres).
     `pose_covariance`: (6, 6) over x, y, z (m) and rotations about the map's x, y, z (rad), as in
-    geometry_msgs/PoseWithCovariance; a held position has the variance that it was given, or zero. `covariance`: of
-    the fitted parameters in the order rotation x, y, z (rad), then `fitted`: focal (as a share), k1, k2, k3, centre
-    (pixels), position (m). `bending`: the first radial term that is not fitted, if the residuals bend with the radius.
-    """
+    geometry_msgs/PoseWithCovariance; a held position has the variance that it was given, or zero. `bending`: the first
+    radial term that is not fitted, if the residuals bend with the radius."""
 
     points: ControlPoints
-    camera: Camera
-    pose: Pose
     fitted: tuple[Parameter, ...]
     held: dict[Parameter, str]
-    residuals: Float64Array
-    used: BoolArray
-    sigma_px: float
     sigmas: dict[str, float]
-    covariance: Float64Array
     pose_covariance: Float64Array
     bending: tuple[Parameter, RadialTrend] | None = None
-
-    @property
-    def residual_px(self) -> Float64Array:
-        """Return (N,) lengths of the residuals, pixels; +inf behind the camera."""
-        return np.nan_to_num(np.hypot(self.residuals[:, 0], self.residuals[:, 1]), nan=np.inf)
 
     @property
     def outliers(self) -> tuple[str, ...]:
@@ -88,7 +72,7 @@ def resect(
     """Fit the camera to the points.
 
     Args:
-        points: control points; pixels counted as everywhere here, (0, 0) the centre of the top-left pixel.
+        points: control points; pixel (0, 0) is the centre of the top-left one.
         camera: start of the lens; parameters that are not free are kept, and fy / fx too.
         position: (3,) map metres: held, or roughly known where "position" is free: then all places are searched, and
             of poses that explain the points alike the nearest is taken.
@@ -108,14 +92,18 @@ def resect(
         raise PoseError(f"cannot fit {', '.join(unknown)}: free parameters are {', '.join(PARAMETERS)}")
     if not sigma_px > 0:
         raise PoseError(f"the sigma of a marked pixel must be positive, got {sigma_px}")
-    origin = np.asarray(position, np.float64)
-    sigma = _position_sigma(position_sigma)
+    origin, sigma = np.asarray(position, np.float64), None
+    if position_sigma is not None:
+        sigma = np.broadcast_to(np.asarray(position_sigma, np.float64), (3,))
+        if not (np.isfinite(sigma).all() and (sigma > 0).all()):
+            raise PoseError(f"the position's sigma must be positive metres, got {sigma.tolist()}")
     check_points(points, camera, origin)
     problem = Adjustment(points, bend, origin, sigma, lens)
     asked = {*free, *(LENS if lens is not None else ())}
     chosen = [name for name in PARAMETERS if name in asked]
     held = hold_for_redundancy(chosen, len(points.names), problem.known)
     misfit: NoCommonPoseError | None = None
+    loose: tuple[Parameter, str] | None
     while True:
         try:
             best = _rough_fit(problem, camera, angles_deg, tuple(chosen), sigma_px)
@@ -126,103 +114,64 @@ def resect(
             if misfit is None:
                 misfit, sigma_px = error, 2 * sigma_px
                 continue
-            optional = [
-                name for name in PARAMETERS if name in chosen and name not in problem.known and name != "position"
-            ]
+            optional = [name for name in chosen if name not in problem.known and name != "position"]
             if not optional:
                 raise misfit from None
-            held[optional[-1]] = "with it, the points do not fit one pose"
-            chosen.remove(optional[-1])
-            continue
-        reason = unbearable(fit, tuple(chosen), points, problem.known)
-        if reason is None:
-            break
-        name, why = reason
-        held[name] = why
-        chosen.remove(name)
+            loose = optional[-1], "with it, the points do not fit one pose"
+        else:
+            loose = unbearable(fit, tuple(chosen), points, problem.known)
+            if loose is None:
+                break
+        held[loose[0]] = loose[1]
+        chosen.remove(loose[0])
     bending = problem.bending(fit, tuple(chosen))
-    result = _result(points, fit, tuple(chosen), held, sigma)
-    return replace(result, bending=bending if bending is not None and bending[1].clear else None)
+    clear = bending if bending is not None and bending[1].clear else None
+    sigmas, pose_covariance = _sigmas(fit, chosen, sigma)
+    return Resection(
+        **vars(fit), points=points, fitted=tuple(chosen), held=held, sigmas=sigmas, pose_covariance=pose_covariance,
+        bending=clear,
+    )  # fmt: skip
 
 
 def _rough_fit(
     problem: Adjustment,
     camera: Camera,
     angles_deg: tuple[float, float, float] | None,
-    free: tuple[Parameter, ...],
+    free: Free,
     sigma_px: float,
 ) -> Fit:
     """Return the best of the coarse search's poses, after a short fit; of those that explain the points alike, that
     whose position is nearest to the stated one."""
-    starts = coarse_poses(
-        problem.points, camera, problem.position, angles_deg, "focal" in free, "position" in free, problem.bend
-    )
+    kind = angles_deg, "focal" in free, "position" in free, problem.bend
+    starts = coarse_poses(problem.points, camera, problem.position, *kind)
     rough = tuple(name for name in free if name in ("focal", "position"))
     fits = [problem.robust_fit(pose, start, rough, sigma_px, rounds=2) for start, pose in starts]
-    medians = [median_px(fit.residuals) for fit in fits]
-    alike = [fit for fit, median in zip(fits, medians, strict=True) if median <= max(min(medians), sigma_px)]
-    return min(alike, key=lambda fit: float(np.linalg.norm(fit.pose.position - problem.position)))
+    alike = max(min(fit.median_px for fit in fits), sigma_px)
+    near = [fit for fit in fits if fit.median_px <= alike]
+    return min(near, key=lambda fit: float(np.linalg.norm(fit.pose.position - problem.position)))
 
 
-def _result(
-    points: ControlPoints,
-    fit: Fit,
-    fitted: tuple[Parameter, ...],
-    held: dict[Parameter, str],
-    sigma: Float64Array | None,
-) -> Resection:
+def _sigmas(
+    fit: Fit, fitted: Sequence[Parameter], position_sigma: Float64Array | None
+) -> tuple[dict[str, float], Float64Array]:
+    """Return the fields `sigmas` and `pose_covariance` of the result."""
     pose_covariance = np.zeros((6, 6))
-    turns = np.arange(3)
     pose_covariance[3:, 3:] = fit.covariance[:3, :3]
-    if "position" in fitted:
-        at = 3 + size_of(fitted[: fitted.index("position")])
-        place = at + np.arange(3)
-        pose_covariance[:3, :3] = fit.covariance[np.ix_(place, place)]
-        pose_covariance[:3, 3:] = fit.covariance[np.ix_(place, turns)]
-        pose_covariance[3:, :3] = pose_covariance[:3, 3:].T
-    elif sigma is not None:
-        pose_covariance[:3, :3] = np.diag(sigma**2)
-    angles = pose_sigmas(fit.pose, pose_covariance)[3:].tolist()
-    return Resection(
-        points,
-        fit.camera,
-        fit.pose,
-        fitted,
-        held,
-        fit.residuals,
-        fit.used,
-        fit.sigma_px,
-        dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), angles, strict=True)) | _parameter_sigmas(fit, fitted),
-        fit.covariance,
-        pose_covariance,
-    )
+    if "position" in fitted:  # the last of the parameters
+        both = np.array([-3, -2, -1, 0, 1, 2])
+        pose_covariance = fit.covariance[np.ix_(both, both)]
+    elif position_sigma is not None:
+        pose_covariance[:3, :3] = np.diag(position_sigma**2)
+    axes = {"focal": ("fx",), "centre": ("cx", "cy"), "position": ("x", "y", "z")}
+    names = ["azimuth_deg", "pitch_deg", "roll_deg", *(axis for name in fitted for axis in axes.get(name, (name,)))]
+    own = np.sqrt(np.diag(fit.covariance))[3:].tolist()
+    sigmas = dict(zip(names, [*pose_sigmas(fit.pose, pose_covariance)[3:].tolist(), *own], strict=True))
+    if "fx" in sigmas:
+        sigmas["fx"] *= fit.camera.fx
+    return sigmas, pose_covariance
 
 
-def _parameter_sigmas(fit: Fit, fitted: tuple[Parameter, ...]) -> dict[str, float]:
-    """Return the deviations of fx, cx, cy (pixels), k1, k2, k3 and x, y, z (metres), of those that were fitted."""
-    deviations = list(map(float, np.sqrt(np.diag(fit.covariance))[3:]))
-    sigmas: dict[str, float] = {}
-    for name in fitted:
-        if name == "focal":
-            sigmas["fx"] = deviations.pop(0) * fit.camera.fx
-        else:
-            axes = {"centre": ("cx", "cy"), "position": ("x", "y", "z")}.get(name, (name,))
-            sigmas |= {axis: deviations.pop(0) for axis in axes}
-    return sigmas
-
-
-def _position_sigma(sigma: ArrayLike | None) -> Float64Array | None:
-    if sigma is None:
-        return None
-    values = np.broadcast_to(np.asarray(sigma, np.float64), (3,))
-    if not (np.isfinite(values).all() and (values > 0).all()):
-        raise PoseError(f"the position's sigma must be positive metres, got {np.asarray(sigma).tolist()}")
-    return values
-
-
-HIDDEN_BY = 5.0
-"""Distance in metres from a surveyed point above which its ray met other ground: the DEM hides the point, or cuts off
-the edge on which it is."""
+HIDDEN_BY = 5.0  # distance in metres from a surveyed point above which its ray met other ground
 
 
 class SurveyedState(StrEnum):
@@ -279,8 +228,7 @@ def traced_errors(result: Resection, tracer: TerrainTracer) -> TracedErrors:
 
 
 def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array) -> Float64Array:
-    """Return the metres by which the rays aimed at places end beyond them; negative before them, NaN where that is not
-    known."""
+    """Return the metres by which rays aimed at places end beyond them, or before (negative); NaN if unknown."""
     sights = line_of_sight_vectors(position, places, tracer.bend)
     return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
 

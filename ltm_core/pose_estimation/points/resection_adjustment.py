@@ -17,18 +17,21 @@ from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend, corner
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.footprint import line_of_sight_vectors
 
-Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]
-"""Parameters that may be fitted in addition to the angles, which always are."""
+Parameter = Literal["focal", "k1", "k2", "k3", "centre", "position"]  # besides the angles, always fitted
 
-PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
-LENS: tuple[Parameter, ...] = PARAMETERS[:-1]
-SIZE = {"focal": 1, "k1": 1, "k2": 1, "k3": 1, "centre": 2, "position": 3}
-"""Number of values of each parameter."""
+Free = tuple[Parameter, ...]
+PARAMETERS: Free = get_args(Parameter)
+LENS: Free = PARAMETERS[:-1]
+SIZE = {"focal": 1, "k1": 1, "k2": 1, "k3": 1, "centre": 2, "position": 3}  # number of values of each parameter
 
-MIN_REDUNDANCY = 2
-"""Minimum number of measured coordinates in excess of the number of parameters; with fewer, no error is detected."""
+MIN_REDUNDANCY = 2  # minimum excess of coordinates over parameters; with fewer, no error is detected
 OUTLIER_SIGMAS = 4.0
 MAX_OUTLIER_SHARE = 0.25
+MAX_MEDIAN_SHARE = 0.02  # median residual, as a share of the image's diagonal, above which no pose explains the points
+MAX_ANGLE_SIGMA_DEG = 1.0
+MAX_FOCAL_SIGMA = 0.03  # maximum standard deviation of the focal length, as a share of it
+MAX_LENS_SHIFT = 0.01  # maximum shift at the corner by one sigma of a lens parameter, share of the diagonal
+MAX_POSITION_SIGMA = 0.02  # maximum standard deviation of the position, as a share of the median distance of the points
 
 REMEDY = (
     "Check their pixels (counted from 0 or 1, of this image?), their coordinates (order, CRS, height datum), the "
@@ -42,13 +45,31 @@ class NoCommonPoseError(PoseError):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
+    """A fitted camera. `residuals`: (N, 2) pixels, marked minus projected; NaN for a point behind the camera. `used`:
+    (N,) the points that are not outliers. `sigma_px`: standard deviation of one measured coordinate, from the residuals
+    but not below the stated one. `covariance`: of the rotation about the map's axes (rad), then of the free parameters:
+    focal (as a share), k1, k2, k3, centre (pixels), position (m)."""
+
     camera: Camera
     pose: Pose
     residuals: Float64Array
     used: BoolArray
     sigma_px: float
     covariance: Float64Array
-    """Covariance of the rotation (rad), then of the free parameters."""
+
+    @property
+    def residual_px(self) -> Float64Array:
+        """Return (N,) lengths of the residuals, pixels; +inf behind the camera."""
+        return np.nan_to_num(np.hypot(self.residuals[:, 0], self.residuals[:, 1]), nan=np.inf)
+
+    @property
+    def median_px(self) -> float:
+        return float(np.median(self.residual_px))
+
+    def scale(self, parameters: int) -> float:
+        """Return the deviation of one coordinate by the median length (Rayleigh: 1.1774 sigma), for n - p."""
+        observed = self.residuals.size
+        return self.median_px / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,39 +82,32 @@ class Adjustment:
     """Prior of the lens parameters that are free; without one, the points alone determine them."""
 
     @property
-    def known(self) -> tuple[Parameter, ...]:
+    def known(self) -> Free:
         """Return the parameters that are observed besides the points, if they are free."""
         return (LENS if self.lens else ()) + (("position",) if self.position_sigma is not None else ())
 
-    def robust_fit(
-        self, pose: Pose, camera: Camera, free: tuple[Parameter, ...], sigma_px: float, rounds: int = 4
-    ) -> Fit:
-        """Fit with soft-L1, then Cauchy loss, which reduce the effect of gross errors; the median residual of all
-        points is the scale."""
+    def robust_fit(self, pose: Pose, camera: Camera, free: Free, sigma_px: float, rounds: int = 4) -> Fit:
+        """Fit with soft-L1, then Cauchy loss, against gross errors; the median residual is the scale."""
         everyone = np.ones(len(self.points.names), bool)
         fit = Fit(camera, pose, self._residuals(camera, pose), everyone, 0.0, np.empty(0))
         for turn in range(rounds):
-            scale = max(sigma_px, _scale(fit.residuals, self._unknowns(free)))
-            fit = self._solve(
-                fit, free, everyone, min(scale, diagonal(camera) / 20), "soft_l1" if turn == 0 else "cauchy"
-            )
+            scale = min(max(sigma_px, fit.scale(self._unknowns(free))), diagonal(camera) / 20)
+            fit = self._solve(fit, free, everyone, scale, "cauchy" if turn else "soft_l1")
         return fit
 
-    def without_outliers(self, fit: Fit, free: tuple[Parameter, ...], sigma_px: float) -> Fit:
-        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable.
-
-        For the standard deviation, an outlier counts as if it were at that limit (Huber, Robust Statistics, 5.3: left
-        out entirely, outliers make the rest look better than further points will be)."""
+    def without_outliers(self, fit: Fit, free: Free, sigma_px: float) -> Fit:
+        """Fit by least squares over the points within OUTLIER_SIGMAS until their set is stable. For the standard
+        deviation, an outlier counts as if it were at that limit (Huber, Robust Statistics, 5.3: left out entirely,
+        outliers make the rest look better than further points will be)."""
         size = self._unknowns(free)
         before = None
         for _ in range(10):
-            limit = OUTLIER_SIGMAS * max(sigma_px, _scale(fit.residuals, size))
-            off = lengths(fit.residuals)
+            limit, off = OUTLIER_SIGMAS * max(sigma_px, fit.scale(size)), fit.residual_px
             used = off <= limit
             if 2 * used.sum() < size + MIN_REDUNDANCY or used.mean() < 1 - MAX_OUTLIER_SHARE:
                 raise NoCommonPoseError(
                     f"{(~used).sum()} of {len(used)} control points do not fit a common pose: "
-                    f"{named(self.points, fit.residuals, ~used)}. {REMEDY}"
+                    f"{named(self.points.names, off, ~used)}. {REMEDY}"
                 )
             settled = before is not None and bool((used == before).all())
             spread = float(np.sqrt(np.sum(np.minimum(off, limit) ** 2) / (2 * len(off) - size)))
@@ -103,23 +117,19 @@ class Adjustment:
             before = used
         return fit
 
-    def _unknowns(self, free: tuple[Parameter, ...]) -> int:
+    def _unknowns(self, free: Free) -> int:
         """Return the number of parameters that the pixels alone determine; those with a prior are observed too."""
         return 3 + size_of(tuple(name for name in free if name not in self.known))
 
-    def bending(self, fit: Fit, free: tuple[Parameter, ...]) -> tuple[Parameter, RadialTrend] | None:
-        """Return the first radial term that is not free, and its value by the residuals of the points that were used;
-        None if all are free."""
+    def bending(self, fit: Fit, free: Free) -> tuple[Parameter, RadialTrend] | None:
+        """Return the first radial term that is not free, and its value by the residuals; None if all are free."""
         term = next((name for name in LENS if name in RADIAL and name not in free), None)
         if term is None:
             return None
-        all_of: tuple[Parameter, ...] = (*free, term)
+        every: Free = (*free, term)
         step = 1e-6
-        columns = []
-        for change in step * np.eye(3 + size_of(all_of)):
-            moved = self._residuals(*applied(change, fit.camera, fit.pose, all_of))
-            columns.append((fit.residuals - moved)[fit.used].ravel() / step)
-        slopes = np.column_stack(columns)
+        moved = (applied(change, fit.camera, fit.pose, every) for change in step * np.eye(3 + size_of(every)))
+        slopes = np.column_stack([(fit.residuals - self._residuals(*to))[fit.used].ravel() / step for to in moved])
         errors = fit.residuals[fit.used].ravel()
         good = np.isfinite(errors) & np.isfinite(slopes).all(axis=1)
         if good.sum() <= slopes.shape[1]:
@@ -131,7 +141,7 @@ class Adjustment:
         sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)
         return np.asarray(self.points.pixels - camera.project(sight @ pose.rotation), np.float64)
 
-    def _solve(self, start: Fit, free: tuple[Parameter, ...], used: BoolArray, sigma_px: float, loss: str) -> Fit:
+    def _solve(self, start: Fit, free: Free, used: BoolArray, sigma_px: float, loss: str) -> Fit:
         far = 2 * diagonal(start.camera)
 
         def errors(x: Float64Array) -> Float64Array:
@@ -151,9 +161,8 @@ class Adjustment:
         return Fit(camera, pose, self._residuals(camera, pose), used, sigma_px, _inverse(solved.jac))
 
 
-def applied(x: Float64Array, camera: Camera, pose: Pose, free: tuple[Parameter, ...]) -> tuple[Camera, Pose]:
-    """Return the camera and pose moved by x: rotation vector in the map frame, then the free parameters, the
-    focal length by its logarithm."""
+def applied(x: Float64Array, camera: Camera, pose: Pose, free: Free) -> tuple[Camera, Pose]:
+    """Return camera and pose moved by x: rotation about the map's axes, then `free`, the focal length by its log."""
     rest = list(x[3:])
     position = pose.position
     for name in free:
@@ -182,49 +191,20 @@ def _inverse(jacobian: Float64Array) -> Float64Array:
     return np.asarray((half @ half.T) / np.outer(norms, norms), np.float64)
 
 
-def named(points: ControlPoints, residuals: Float64Array, which: BoolArray) -> str:
-    """Return the points of `which` with their residuals, largest first."""
-    off = lengths(residuals)
+def named(names: Sequence[str], off: Float64Array, which: BoolArray) -> str:
+    """Return the points of `which` with the lengths of their residuals (N,), largest first."""
     order = [i for i in np.argsort(-off, kind="stable") if which[i]]
-    shown = [
-        f"{points.names[i]} ({'behind the camera' if np.isinf(off[i]) else f'off by {off[i]:.0f} px'})"
-        for i in order[:8]
-    ]
-    return ", ".join(shown) + (f" and {len(order) - 8} more" if len(order) > 8 else "")
+    known = {i: f"off by {off[i]:.0f} px" if np.isfinite(off[i]) else "behind the camera" for i in order}
+    more = f" and {len(order) - 8} more" if len(order) > 8 else ""
+    return ", ".join(f"{names[i]} ({known[i]})" for i in order[:8]) + more
 
 
-def lengths(residuals: Float64Array) -> Float64Array:
-    return np.nan_to_num(np.hypot(residuals[:, 0], residuals[:, 1]), nan=np.inf)
-
-
-def median_px(residuals: Float64Array) -> float:
-    return float(np.median(lengths(residuals)))
-
-
-def _scale(residuals: Float64Array, parameters: int) -> float:
-    """Return the deviation of one coordinate from the median length (of a Rayleigh variate: 1.1774 sigma), for n -
-    p."""
-    observed = residuals.size
-    return median_px(residuals) / 1.1774 * float(np.sqrt(observed / (observed - parameters)))
-
-
-def size_of(free: tuple[Parameter, ...]) -> int:
+def size_of(free: Free) -> int:
     return sum(SIZE[name] for name in free)
 
 
 def diagonal(camera: Camera) -> float:
     return float(np.hypot(camera.width, camera.height))
-
-
-MAX_MEDIAN_SHARE = 0.02
-"""Median residual, as a share of the image's diagonal, above which no pose explains the points."""
-MAX_ANGLE_SIGMA_DEG = 1.0
-MAX_FOCAL_SIGMA = 0.03
-"""Maximum standard deviation of the focal length, as a share of it."""
-MAX_LENS_SHIFT = 0.01
-"""Maximum shift at the image's corner by one sigma of a lens parameter, as a share of the image's diagonal."""
-MAX_POSITION_SIGMA = 0.02
-"""Maximum standard deviation of the position, as a share of the median distance of the points."""
 
 
 def check_points(points: ControlPoints, camera: Camera, position: Float64Array) -> None:
@@ -247,10 +227,9 @@ def check_points(points: ControlPoints, camera: Camera, position: Float64Array) 
 
 
 def hold_for_redundancy(chosen: list[Parameter], count: int, known: Sequence[Parameter]) -> dict[Parameter, str]:
-    """Take parameters out of `chosen` that so few points cannot fit, unless they are `known`, the last radial one
-    first."""
+    """Take parameters out of `chosen` that so few points cannot fit, unless they are `known`."""
     held: dict[Parameter, str] = {}
-    order: tuple[Parameter, ...] = ("k3", "k2", "centre", "k1", "position", "focal")
+    order: Free = ("k3", "k2", "centre", "k1", "position", "focal")
     for name in order:
         needed = 3 + size_of(tuple(other for other in chosen if other not in known)) + MIN_REDUNDANCY
         if 2 * count >= needed:
@@ -263,45 +242,44 @@ def hold_for_redundancy(chosen: list[Parameter], count: int, known: Sequence[Par
 
 def check_fit(points: ControlPoints, fit: Fit) -> None:
     limit = MAX_MEDIAN_SHARE * diagonal(fit.camera)
-    median = median_px(fit.residuals)
-    if median > limit:
+    if fit.median_px > limit:
         raise NoCommonPoseError(
-            f"no pose explains the control points: the median residual is {median:.0f} px (limit {limit:.0f} px): "
-            f"{named(points, fit.residuals, np.ones(len(points.names), bool))}. {REMEDY}"
+            f"no pose explains the control points: the median residual is {fit.median_px:.0f} px (limit {limit:.0f} "
+            f"px): {named(points.names, fit.residual_px, np.ones(len(points.names), bool))}. {REMEDY}"
         )
 
 
 def unbearable(
-    fit: Fit, free: tuple[Parameter, ...], points: ControlPoints, known: Sequence[Parameter] = ()
+    fit: Fit, free: Free, points: ControlPoints, known: Sequence[Parameter] = ()
 ) -> tuple[Parameter, str] | None:
     """Return the free parameter that the points determine worst, and why; None if they determine all except those in
     `known`. Raises for the angles."""
-    camera = fit.camera
     sigma = np.sqrt(np.diag(fit.covariance))
-    sights = points.places[fit.used] - fit.pose.position
-    distance = float(np.median(np.linalg.norm(sights, axis=1)))
+    places = points.places[fit.used]
+    distance = float(np.median(np.linalg.norm(places - fit.pose.position, axis=1)))
     worst: tuple[float, Parameter, str] | None = None
     at = 3
     for name in free:
         own = float(sigma[at : at + SIZE[name]].max())
         at += SIZE[name]
+        instead = ""
         if name == "focal":
-            excess, reason = own / MAX_FOCAL_SIGMA, f"its sigma would be {own:.1%} (limit {MAX_FOCAL_SIGMA:.0%})"
-        elif name != "position":
-            order = 2 * tuple(RADIAL).index(name) + 3 if name in RADIAL else 0
-            shift = own * corner_radius(camera) ** order * (camera.fx if order else 1.0)
-            limit = MAX_LENS_SHIFT * diagonal(camera)
-            excess = shift / limit
-            reason = f"its sigma would be {own:.2g}, {shift:.0f} px at the image's corner (limit {limit:.0f} px)"
-        else:
+            excess, reason = own / MAX_FOCAL_SIGMA, f"{own:.1%} (limit {MAX_FOCAL_SIGMA:.0%})"
+        elif name == "position":
             limit = MAX_POSITION_SIGMA * distance
-            excess = own / limit
-            reason = f"its sigma would be {own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
-            if _in_line(points.places[fit.used]):
+            excess, instead = own / limit, ", or state position_sigma in the guess"
+            reason = f"{own:.3g} m (limit {limit:.3g} m, {MAX_POSITION_SIGMA:.0%} of the distance)"
+            spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+            if spread[1] < 0.02 * spread[0]:
                 reason += "; the points are on one line"
-        if name not in known and excess > 1 and (worst is None or excess > worst[0]):
-            instead = ", or state position_sigma in the guess" if name == "position" else ""
-            worst = excess, name, f"{reason}: mark points that differ more in distance and place in the image{instead}"
+        else:
+            order = 2 * tuple(RADIAL).index(name) + 3 if name in RADIAL else 0
+            shift = own * corner_radius(fit.camera) ** order * (fit.camera.fx if order else 1.0)
+            limit = MAX_LENS_SHIFT * diagonal(fit.camera)
+            excess, reason = shift / limit, f"{own:.2g}, {shift:.0f} px at the image's corner (limit {limit:.0f} px)"
+        if name not in known and excess > max(1.0, worst[0] if worst else 0.0):
+            remedy = f"mark points that differ more in distance and place in the image{instead}"
+            worst = excess, name, f"its sigma would be {reason}: {remedy}"
     if worst is not None:
         return worst[1], worst[2]
     turn = float(np.degrees(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3]).max())))
@@ -317,8 +295,3 @@ def unbearable(
         f"the camera's angles do not follow from the control points {', '.join(points.names)}: sigma {turn:.2g} "
         f"degrees (limit {MAX_ANGLE_SIGMA_DEG:g}); mark points further apart in the image, and check their pixels"
     )
-
-
-def _in_line(places: Float64Array) -> bool:
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < 0.02 * spread[0])

@@ -24,9 +24,8 @@ from ltm_core.storage.config_io import LARGEST_TABLE, read_text
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 
 _COLUMNS: dict[str, Sequence[str]] = {
-    "name": ("id", "name", "point", "label", "gcp"),
-    "x": ("x", "x_e", "e", "east", "easting", "map_x", "world_x"),
-    "y": ("y", "y_n", "n", "north", "northing", "map_y", "world_y"),
+    "x": ("lon", "longitude", "x", "x_e", "e", "east", "easting", "map_x", "world_x"),
+    "y": ("lat", "latitude", "y", "y_n", "n", "north", "northing", "map_y", "world_y"),
     "z": ("z", "h", "height", "elevation", "elev", "altitude", "alt", "map_z", "world_z"),
     "u": ("u", "col", "column", "px", "pixel_x", "x_pixel", "x_px", "image_x", "x_image", "im_x"),
     "v": ("v", "row", "line", "py", "pixel_y", "y_pixel", "y_px", "image_y", "y_image", "im_y"),
@@ -85,72 +84,64 @@ def read_point_rows(
 ) -> tuple[tuple[str, ...], Float64Array]:
     """Return names (N,) and rows (N, 5 + F) of a CSV as above: map x, y, z, pixel u, v, then the columns `further`,
     each by its possible names. Raises PoseError as `read_control_points` does."""
-    path = Path(path)
-    lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
-    try:
-        header = lines.getvalue().partition("\n")[0]
-        reader = csv.DictReader(lines, delimiter=max(",;\t", key=header.count))
-        columns = _columns(reader.fieldnames or [], path, {**_COLUMNS, **further})
-        rows = [_numbers(row, columns, f"{path}, line {reader.line_num}", further) for row in reader]
-    except csv.Error as error:
-        raise PoseError(f"{path}: not a CSV file ({error})") from error
-    if not rows:
-        raise PoseError(f"{path}: contains no control point")
-    names, values = tuple(name for name, _ in rows), np.array([numbers for _, numbers in rows])
+    names, values, columns = read_rows(path, {**_COLUMNS, **further}, "id, x, y, z, u, v or id, lon, lat, z, u, v")
     x, y = values[:, 0], values[:, 1]
-    if columns["x"].strip().lower().startswith("lon"):
+    degrees = [columns["x"].lower().startswith("lon"), columns["y"].lower().startswith("lat")]
+    if degrees[0] != degrees[1]:
+        raise PoseError(f"{path}: columns {columns['x']} and {columns['y']}; give lon and lat, or x and y")
+    if degrees[0]:
         x, y = frame.from_lonlat(x, y)
     else:
         x, y = x - frame.x_origin, y - frame.y_origin
     return names, np.column_stack([x, y, values[:, 2], values[:, 3:5] - first_pixel, values[:, 5:]])
 
 
-def _columns(header: Sequence[str], path: Path, names_of: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return the file's column for each key of `names_of`; name may be missing."""
-    given = {name.strip().lower(): name for name in header}
-    wanted = dict(names_of)
-    if {"lon", "lat"} <= given.keys() or {"longitude", "latitude"} <= given.keys():
-        wanted |= {"x": ("lon", "longitude"), "y": ("lat", "latitude")}
-    found: dict[str, str] = {}
-    for key, names in wanted.items():
-        match = next((given[name] for name in names if name in given), None)
-        if match is not None:
-            found[key] = match
-        elif key != "name":
-            raise PoseError(
-                f"{path}: no column {key!r} (or {', '.join(names[1:])}) in {', '.join(header) or 'an empty header'}; "
-                f"control points need {', '.join(('id', *(key for key in names_of if key != 'name')))}"
-            )
-    return found
+def read_rows(
+    path: Path | str, wanted: Mapping[str, Sequence[str]], needed: str
+) -> tuple[tuple[str, ...], Float64Array, dict[str, str]]:
+    """Return the names (N,) of the rows of a CSV as above, the numbers (N, K) of the columns `wanted`, each by its
+    possible names, and the column of each. A row without a name has the number of its line. `needed`: the columns, for
+    the PoseError, which names file, line and column."""
+    path, rows = Path(path), []
+    lines = io.StringIO(read_text(path, LARGEST_TABLE, PoseError, "utf-8-sig"), newline="")
+    try:
+        header = lines.getvalue().partition("\n")[0]
+        reader = csv.DictReader(lines, delimiter=max(",;\t", key=header.count))
+        given = {(name or "").strip().lower(): name for name in reader.fieldnames or []}
+        every = {"name": ("id", "name", "point", "label", "gcp"), **wanted}
+        columns = {key: next((given[name] for name in names if name in given), "") for key, names in every.items()}
+        if absent := [key for key in wanted if not columns[key]]:
+            found = ", ".join(given.values()) or "an empty header"
+            raise PoseError(f"{path}: no column {', '.join(map(repr, absent))} in {found}; the file needs {needed}")
+        for row in reader:
+            name = (row.get(columns["name"]) or "").strip() or str(reader.line_num)
+            place = f"{path}, line {reader.line_num}", name
+            rows.append((name, [_number(row[columns[key]], columns[key], *place) for key in wanted]))
+    except csv.Error as error:
+        raise PoseError(f"{path}: not a CSV file ({error})") from error
+    if not rows:
+        raise PoseError(f"{path}: contains no row below its header")
+    return tuple(name for name, _ in rows), np.array([numbers for _, numbers in rows]), columns
 
 
-def _numbers(
-    row: dict[str, str], columns: dict[str, str], place: str, further: Mapping[str, Sequence[str]]
-) -> tuple[str, list[float]]:
-    name = (row[columns["name"]] or "").strip() if "name" in columns else place.rpartition(" ")[2]
-    values = []
-    for key in ("x", "y", "z", "u", "v", *further):
-        text = row[columns[key]]
-        try:
-            values.append(float(text))
-        except (TypeError, ValueError):
-            raise PoseError(f"{place}: {columns[key]} is {text!r}, not a number (point {name})") from None
-    return name, values
+def _number(text: str | None, column: str, place: str, name: str) -> float:
+    try:
+        return float(text)  # type: ignore[arg-type] # of a short row, None: an error as well
+    except (TypeError, ValueError):
+        raise PoseError(f"{place}: {column} is {text!r}, not a number (point {name})") from None
 
 
 def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: SiteFrame) -> None:
     """Write a pose file for `ltm trace`, with the method in its comments."""
-    lengths = result.residual_px
     notes = [
-        f"Resection from {len(lengths)} control points: median residual {np.median(lengths):.2f} px.",
+        f"Resection from {len(result.used)} control points: median residual {result.median_px:.2f} px.",
         "Standard deviations: " + ", ".join(f"{name} {value:.3g}" for name, value in result.sigmas.items()),
         *(f"{name} was fixed: {reason}" for name, reason in result.held.items()),
     ]
     if result.outliers:
         notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
-    write_pose_file(
-        path, result.camera, result.pose, sigma_keys(result.pose, result.pose_covariance), guess, frame, notes
-    )
+    sigmas = sigma_keys(result.pose, result.pose_covariance)
+    write_pose_file(path, result.camera, result.pose, sigmas, guess, frame, notes)
 
 
 def held_notes(result: Resection) -> list[str]:
@@ -167,21 +158,13 @@ def held_notes(result: Resection) -> list[str]:
 
 def write_report(path: Path | str, result: Resection) -> None:
     """Write residuals, sigmas and the pose's covariance as JSON."""
+    marks = zip(result.points.names, result.points.pixels, result.residuals, result.used, strict=True)
     points = [
-        {
-            "name": name,
-            "u": float(pixel[0]),
-            "v": float(pixel[1]),
-            "du_px": _finite(error[0]),
-            "dv_px": _finite(error[1]),
-            "used": bool(used),
-        }
-        for name, pixel, error, used in zip(
-            result.points.names, result.points.pixels, result.residuals, result.used, strict=True
-        )
+        {"name": name, "u": u, "v": v, "du_px": _finite(du), "dv_px": _finite(dv), "used": bool(used)}
+        for name, (u, v), (du, dv), used in marks
     ]
     content = {
-        "median_residual_px": _finite(float(np.median(result.residual_px))),
+        "median_residual_px": _finite(result.median_px),
         "sigma_px": result.sigma_px,
         "fitted": ["angles", *result.fitted],
         "held": result.held,

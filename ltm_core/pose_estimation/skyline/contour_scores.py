@@ -27,10 +27,8 @@ from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.vision.labels import UNLABELLED, Label
 
 _MOST_POINTS = 4000
-_ONE_EDGE = 8.0
-"""Length in pixels of the edge image along a ridge within which an edge is continuous."""
-_SPREAD = 0.7
-"""Standard deviation of a pixel's response, and so of random scores."""
+_ONE_EDGE = 8.0  # length in pixels of the edge image along a ridge within which an edge is continuous
+_SPREAD = 0.7  # standard deviation of a pixel's response, and so of random scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,22 +45,21 @@ class ContourDirections:
     @classmethod
     def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> ContourDirections:
         """Return the points beyond `nearest` metres; `with_horizon`: including the horizon where it is a ridge."""
-        contours = horizon.contours
-        kept = np.flatnonzero((contours.following >= 0) & (contours.range > nearest))
-        after = contours.following[kept]
-        here = _directions(contours.azimuth[kept], contours.tangent[kept])
-        following = _directions(contours.azimuth[after], contours.tangent[after])
-        ranges, cells = contours.range[kept], contours.cell[kept]
+        c = horizon.contours
+        here = np.flatnonzero((c.following >= 0) & (c.range > nearest))
+        after, points = c.following[here], [c.azimuth, c.tangent, c.range, c.cell]
         if with_horizon:
-            azimuths, t, r = horizon.azimuths, horizon.tangent, horizon.range
+            t, r = horizon.tangent, horizon.range
             steady = (np.abs(np.diff(t)) < 4 * horizon.step) & (r[:-1] > nearest) & (r[1:] > nearest)
             steady &= np.abs(np.diff(np.log(np.maximum(r, 1.0)))) < 0.12
             steady &= ~(horizon.at_edge[:-1] | horizon.at_edge[1:])
-            k = np.flatnonzero(steady)
-            here = np.concatenate([here, _directions(azimuths[k], t[k])])
-            following = np.concatenate([following, _directions(azimuths[k + 1], t[k + 1])])
-            ranges, cells = np.concatenate([ranges, r[k]]), np.concatenate([cells, horizon.cell[k]])
-        return cls(here, following, ranges, cells)
+            k = len(c) + np.flatnonzero(steady)  # the horizon's points come after those of the contours
+            here, after = np.concatenate([here, k]), np.concatenate([after, k + 1])
+            added = (horizon.azimuths, t, r, horizon.cell)
+            points = [np.concatenate(pair) for pair in zip(points, added, strict=True)]
+        azimuth, tangent, ranges, cells = points
+        seen, following = (_directions(azimuth[at], tangent[at]) for at in (here, after))
+        return cls(seen, following, ranges[here], cells[here])
 
     def in_view(self, pose: Pose, camera: Camera, most: int) -> ContourDirections:
         """Return at most `most` points in front of a camera or slightly beside it."""
@@ -70,17 +67,15 @@ class ContourDirections:
         wide = 1.15 * max(camera.cx, camera.width - camera.cx) / camera.fx
         kept = np.flatnonzero((ahead[:, 2] > 0.05) & (np.abs(ahead[:, 0]) < wide * ahead[:, 2]))
         every = max(1, -(-len(kept) // most))
-        kept = kept[::every]
-        return self._only(kept, every)
+        return self._only(kept[::every], every)
 
     def thinned(self, every: int) -> ContourDirections:
         """Return every n-th point."""
         return self._only(np.arange(0, len(self.range), every), every)
 
     def _only(self, kept: IndexArray, every: int) -> ContourDirections:
-        return ContourDirections(
-            self.here[kept], self.following[kept], self.range[kept], self.cell[kept], self.every * every
-        )
+        here, following = self.here[kept], self.following[kept]
+        return ContourDirections(here, following, self.range[kept], self.cell[kept], self.every * every)
 
 
 def _directions(azimuth: Float64Array, tangent: Float64Array) -> Float64Array:
@@ -96,8 +91,7 @@ def contour_scores(
 
 
 def usual_score(scores: Float64Array) -> tuple[float, float]:
-    """Return median and robust standard deviation of the scores (P,) of many poses. If most have no ridge in view their
-    scores are equal, so the spread is that of the others."""
+    """Return median and robust standard deviation of the scores (P,) of many poses, equal if no ridge is in view."""
     middle = float(np.median(scores))
     return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), _SPREAD)
 
@@ -106,7 +100,6 @@ def ridge_strength(
     pose: Pose, directions: ContourDirections, step: float, camera: Camera, edges: ImageContours
 ) -> float:
     """Return the strength of edges on the ridges of a pose in multiples of chance; ridges within 8 pixels count as one.
-
     `step`: radians of azimuth between the contours' points."""
     around = directions.in_view(pose, camera, _MOST_POINTS)
     scores, counts = scores_and_counts(pose.rotation[None], around, camera, edges)
@@ -166,12 +159,9 @@ def _scores(
     return scores, counts
 
 
-_BORDER = 0.006
-"""Distance, as a share of the width, within which a skyline next to a hidden area is the border of that area."""
-_SKY_EDGE = 0.01
-"""Distance from the land, as a share of the width, within which edges are kept; edges of clouds further up are not."""
-_LEAST_SKY = 0.1
-"""Minimum share of columns that must have a skyline."""
+_BORDER = 0.006  # share of the width within which a skyline beside a hidden area is the border of that area
+_SKY_EDGE = 0.01  # distance from land, share of the width, within which edges are kept; clouds' are further up
+_LEAST_SKY = 0.1  # minimum share of columns that must have a skyline
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,39 +200,32 @@ def picture_evidence(
     config: PicturePoseConfig = PicturePoseConfig(),
     hidden: BoolArray | None = None,
 ) -> PictureEvidence:
-    """Return the evidence in a photo (H, W, 3) of `camera` with its labels (H, W); `hidden` (H, W): captions and parts
-    of a tower. Raises ImageError if their sizes differ."""
+    """Return the evidence in a photo (H, W, 3) with labels (H, W), except in `hidden` (H, W). Raises ImageError."""
     size = (camera.height, camera.width)
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
-        raise ImageError(
-            f"photo {photo.shape}, labels {labels.shape} and camera {size} must have the same size, (H, W, 3) "
-            "and (H, W)"
-        )
+        raise ImageError(f"photo {photo.shape}, labels {labels.shape} and camera {size} must have one size (H, W)")
     masked = np.zeros(size, np.uint8) if hidden is None else hidden.astype(np.uint8)
     width = min(camera.width, config.working_width)
     work = camera.resized(width, max(2, round(camera.height * width / camera.width)))
     shape = (work.width, work.height)
     small = cv2.resize(photo, shape, interpolation=cv2.INTER_AREA) if width < camera.width else photo
-    ids = cv2.resize(labels, shape, interpolation=cv2.INTER_NEAREST)
-    masked = cv2.resize(masked, shape, interpolation=cv2.INTER_NEAREST)
+    ids, masked = (cv2.resize(of, shape, interpolation=cv2.INTER_NEAREST) for of in (labels, masked))
     if any(work.distortion):
-        k1, k2, p1, p2, k3 = work.distortion
-        to_x, to_y = cv2.initUndistortRectifyMap(
-            work.matrix, np.array([k1, k2, p1, p2, k3]), np.eye(3), work.matrix, shape, cv2.CV_32FC1
-        )
-        small = cv2.remap(small, to_x, to_y, cv2.INTER_LINEAR)
-        ids = cv2.remap(ids, to_x, to_y, cv2.INTER_NEAREST, borderValue=int(UNLABELLED))
-        masked = cv2.remap(masked, to_x, to_y, cv2.INTER_NEAREST, borderValue=1)
+        lens = work.matrix, np.array(work.distortion)
+        x, y = cv2.initUndistortRectifyMap(*lens, np.eye(3), work.matrix, shape, cv2.CV_32FC1)
+        small = cv2.remap(small, x, y, cv2.INTER_LINEAR)
+        ids = cv2.remap(ids, x, y, cv2.INTER_NEAREST, borderValue=int(UNLABELLED))
+        masked = cv2.remap(masked, x, y, cv2.INTER_NEAREST, borderValue=1)
         work = Camera(work.width, work.height, work.fx, work.fy, work.cx, work.cy)
     shut = masked > 0
     ids = np.where(shut, np.uint8(UNLABELLED), ids).astype(np.uint8)
     skyline = image_skyline(small, ids if hidden is None else _seen_through(ids, shut))
-    sky = ids == np.uint8(Label.SKY)
-    if hidden is None:
-        kept = ~shut[np.clip(np.rint(skyline.v).astype(np.intp), 0, work.height - 1), skyline.u.astype(np.intp)]
-        skyline = skyline.only(kept)
-    else:
-        skyline = _beside(skyline, shut)
+    sky, near = ids == np.uint8(Label.SKY), shut
+    if hidden is not None:  # where the skyline may be the border of a hidden area
+        reach = max(4, round(_BORDER * work.width))
+        near = cv2.dilate(masked, np.ones((2 * reach + 1, 1), np.uint8)) > 0
+    rows = np.clip(np.rint(skyline.v).astype(np.intp), 0, work.height - 1)
+    skyline = skyline.only(~near[rows, skyline.u.astype(np.intp)])
     found = len(skyline.u) * skyline.spacing >= _LEAST_SKY * work.width
 
     @cache
@@ -266,11 +249,3 @@ def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:
         row = np.where(shut[v], row, ids[v])
         found[v] = row
     return found
-
-
-def _beside(skyline: ImageSkyline, shut: BoolArray) -> ImageSkyline:
-    """Return the skyline without the columns where it may be the border of a hidden area (H, W)."""
-    reach = max(4, round(_BORDER * shut.shape[1]))
-    tall = cv2.dilate(shut.astype(np.uint8), np.ones((2 * reach + 1, 1), np.uint8)) > 0
-    v = np.clip(np.rint(skyline.v).astype(np.intp), 0, len(shut) - 1)
-    return skyline.only(~tall[v, skyline.u.astype(np.intp)])

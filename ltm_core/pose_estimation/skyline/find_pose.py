@@ -3,21 +3,26 @@
 1. All azimuths within reach of the prior one are compared by the skyline (`skyline_search`) and by the ridges
    (`contour_scores`).
 2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
-3. The best of these is accepted where it stands out (`pose_verdict`). Where no skyline of the DEM is in the image, or
+3. The best of these is accepted where it stands out (`judge`). Where no skyline of the DEM is in the image, or
    land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
    leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
-4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`ridge_settling`)."""
+4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`settled_on_ridges`).
+
+With an unknown lens, pose, focal length and k1 are found together; a wrong lens makes every pose ambiguous."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.pose_estimation.lens import RadialTrend, corner_radius, radial_trend
-from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence
+from ltm_core.geometry.pose import vector_of_matrix
+from ltm_core.pose_estimation.lens import LensPrior, RadialTrend, corner_radius, radial_trend
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     Hypothesis,
@@ -30,7 +35,7 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
 )
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
-from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, settled_on_ridges, skyline_fit
+from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, refine, settled_on_ridges, skyline_fit
 from ltm_core.pose_estimation.skyline.pose_search import poses_on_skyline, search_ridges
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon, terrain_horizon
 from ltm_core.raster.dem import Dem
@@ -43,12 +48,20 @@ if a good skyline leaves two poses open, ridges mislead more often than not."""
 
 @dataclass(frozen=True, eq=False)
 class PictureSearch:
-    """Hypotheses in order of cost, and the evidence by which they were judged."""
+    """Hypotheses in order of cost, the evidence by which they were judged, and the verdict on the first."""
 
     hypotheses: tuple[Hypothesis, ...]
     evidence: PictureEvidence
     horizon: TerrainHorizon
     verdict: PoseVerdict
+
+    @property
+    def accepted(self) -> bool:
+        return self.verdict.word == "accepted"
+
+    def doubted(self, reason: str) -> PictureSearch:
+        """Return the result with a verdict that is not accepted."""
+        return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason)) if self.accepted else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +96,18 @@ def find_pose(
     focal_sigma: float = 0.0,
     horizon: TerrainHorizon | None = None,
 ) -> PictureSearch:
-    """Search the pose of an image and judge it.
-
-    `focal_sigma`: of the focal length, relative; 0 holds it. `horizon`: of the prior position, where it is known
-    already. Raises PoseError as `terrain_horizon`."""
+    """Search the pose of an image and judge it. `focal_sigma`: relative; 0 holds it. `horizon`: if it is known already.
+    Raises PoseError as `terrain_horizon`."""
     horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
     problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
 
-    def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> _JudgedPose:
-        hypotheses = _on_skyline(hypotheses, problem)
-        return _JudgedPose(hypotheses, judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges))
+    def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> PictureSearch:
+        if hypotheses:  # a mean of poses has no fit of its own, and the search by ridges does not use the skyline
+            best, *others = hypotheses
+            fit = skyline_fit(best.refined.pose, best.refined.camera, problem)
+            hypotheses = [replace(best, refined=replace(best.refined, skyline=fit)), *others]
+        verdict = judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges)
+        return PictureSearch(tuple(hypotheses), evidence, horizon, verdict)
 
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
@@ -110,26 +125,22 @@ def find_pose(
     settles = evidence.plants >= config.settling.least_plants
     if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
         result = _settled(result, problem, terrain)
-    search = PictureSearch(tuple(result.hypotheses), evidence, horizon, result.verdict)
-    trend = skyline_bending(search, problem)
+    trend = skyline_bending(result, problem)
     least = _BENT_SIGMAS[result.accepted]
     if trend is None or not least * trend.sigma < abs(trend.k) < _MOST_BENT / corner_radius(evidence.camera) ** 2:
-        return search
+        return result
     # How much cannot be said: a pose that is fitted with a wrong lens is itself off.
-    bent = f"{search.verdict.reason}; its misfits bend with the radius, as by an unknown lens distortion"
-    word = "ambiguous" if result.accepted else search.verdict.word
-    return replace(search, verdict=replace(search.verdict, word=word, reason=bent))
+    bent = f"{result.verdict.reason}; its misfits bend with the radius, as by an unknown lens distortion"
+    doubted = result.doubted(bent)
+    return replace(doubted, verdict=replace(doubted.verdict, reason=bent))
 
 
-_BENT_SIGMAS = {True: 4.0, False: 2.5}
-"""Minimum trend in standard deviations that rejects an accepted pose, or is named as a reason for another one."""
-_MOST_BENT = 0.6
-"""Maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's."""
+_BENT_SIGMAS = {True: 4.0, False: 2.5}  # minimum trend in sigmas that rejects an accepted pose, or is named for another
+_MOST_BENT = 0.6  # maximum radial shift at the image's corner, as a share of the radius, that is taken for a lens's
 
 
 def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend | None:
-    """Return the k1 by which the skyline's misfits at the best hypothesis bend beyond angles and focal length; None
-    without a skyline or hypothesis."""
+    """Return the k1 by which the skyline's misfits at the best hypothesis bend; None without a skyline."""
     skyline = search.evidence.skyline
     if skyline is None or not search.hypotheses:
         return None
@@ -151,56 +162,40 @@ def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend 
     return radial_trend(-rows.error[kept], rows.slopes[kept, 3:7], by_k[kept], sigma)
 
 
-@dataclass(frozen=True, eq=False)
-class _JudgedPose:
-    """Hypotheses from the best down, and the verdict on the first."""
-
-    hypotheses: list[Hypothesis]
-    verdict: PoseVerdict
-
-    @property
-    def accepted(self) -> bool:
-        return self.verdict.word == "accepted"
-
-    def doubted(self, reason: str) -> _JudgedPose:
-        """Return the result with a verdict that is not accepted."""
-        if not self.accepted:
-            return self
-        return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason))
-
-
 def _decided(
-    by_skyline: _JudgedPose, by_ridges: _JudgedPose, together: _JudgedPose | None, config: VerdictConfig
-) -> _JudgedPose:
-    """Return what counts of a pose by the skyline, one by ridges alone, and their mean, where both may be of one
-    pose."""
+    by_skyline: PictureSearch, by_ridges: PictureSearch, together: PictureSearch | None, config: VerdictConfig
+) -> PictureSearch:
+    """Return what counts of a pose by the skyline, one by ridges alone, and, if both agree, their mean."""
     if not by_skyline.hypotheses:
         return by_ridges
-    seen = by_skyline.hypotheses[0].refined.skyline
-    if not _may_mislead(seen, config):
+    best = by_skyline.hypotheses[0]
+    seen = best.refined.skyline
+    if seen.open <= config.open_share and seen.support >= _LEAST_SUPPORT:  # it is the DEM's skyline
         if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + config.agree_cost:
             return together
         reason = "it rests on a single ridge, and the other ridges do not confirm it"
         return by_skyline.doubted(reason) if by_ridges.hypotheses else by_skyline
-    if by_skyline.accepted and _agree(by_skyline.hypotheses[0], by_ridges.hypotheses, config):
-        return by_skyline
+    if by_skyline.accepted and by_ridges.hypotheses:
+        apart = abs(float(angles_between(best.refined.pose, by_ridges.hypotheses[0].refined.pose)[0]))
+        if apart <= math.radians(config.open_apart_deg):
+            return by_skyline
     for other in (by_ridges, together):
         if other is not None and other.accepted:
             return other
     return by_skyline.doubted("land beyond the DEM may resemble its horizon, and the ridges do not confirm the pose")
 
 
-def _settled(found: _JudgedPose, problem: PoseProblem, terrain: SearchTerrain) -> _JudgedPose:
+def _settled(found: PictureSearch, problem: PoseProblem, terrain: SearchTerrain) -> PictureSearch:
     """Return the pose of an open view settled on its ridges alone; `found` if they do not determine the azimuth."""
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, problem)
     kept = terrain.above([replace(best, refined=refined)])
     if not kept or refined.sigma_deg[0] > problem.config.settling.most_azimuth_sigma_deg:
         return found
-    return _JudgedPose([*kept, *others], replace(found.verdict, sigma_deg=refined.sigma_deg))
+    return replace(found, hypotheses=(*kept, *others), verdict=replace(found.verdict, sigma_deg=refined.sigma_deg))
 
 
-def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:
+def _asks_ridges(by_skyline: PictureSearch, config: VerdictConfig) -> bool:
     """Return whether ridges alone are tried, too: where the skyline is not that of the DEM, or by itself leaves the
     pose open, where land beyond the DEM may look like it, and where one crest is all that the pose is by."""
     if not by_skyline.accepted:
@@ -211,24 +206,103 @@ def _asks_ridges(by_skyline: _JudgedPose, config: VerdictConfig) -> bool:
     return best.ridge_score < config.lone_score and verdict.sigma_deg[0] > config.lone_sigma_deg
 
 
-def _may_mislead(skyline: SkylineFit, config: VerdictConfig) -> bool:
-    """Return whether what is seen may not be the DEM's skyline at all: then ridges may stand by themselves."""
-    return skyline.open > config.open_share or skyline.support < _LEAST_SUPPORT
+_K1_STEP, _K1_REACH = 0.5, 2.0  # step and reach of the search of k1, in its standard deviations
+_HALVINGS, _FOLLOWED = 4, 4  # number of steps to the best k1, and of poses that are followed in each
+_FOCAL_LEFT = 0.005  # relative standard deviation of the focal length once k1 is found
 
 
-def _agree(best: Hypothesis, by_ridges: list[Hypothesis], config: VerdictConfig) -> bool:
-    """Return whether ridges alone are of the same azimuth."""
-    if not by_ridges:
-        return False
-    apart = float(angles_between(best.refined.pose, by_ridges[0].refined.pose)[0])
-    return abs(apart) <= math.radians(config.open_apart_deg)
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A pose with its k1, and its cost with that of k1."""
+
+    k1: float
+    refined: RefinedPose
+    cost: float
 
 
-def _on_skyline(hypotheses: list[Hypothesis], problem: PoseProblem) -> list[Hypothesis]:
-    """Return the hypotheses, the first one with the fit of the skyline at its pose: a mean of poses has no fit of its
-    own, and the search by ridges does not use the skyline."""
-    if not hypotheses:
-        return hypotheses
-    best, *others = hypotheses
-    fit = skyline_fit(best.refined.pose, best.refined.camera, problem)
-    return [replace(best, refined=replace(best.refined, skyline=fit)), *others]
+def find_pose_and_lens(
+    evidence_of: Callable[[Camera], PictureEvidence],
+    camera: Camera,
+    terrain: SearchTerrain,
+    prior: PosePrior,
+    lens: LensPrior,
+    config: PicturePoseConfig = PicturePoseConfig(),
+) -> tuple[PictureSearch, Camera]:
+    """Search the pose, the focal length and k1 of an image; return the search and the image's camera with the lens.
+
+    `evidence_of`: evidence in the image by its camera, which undistorts it. Every k1 within two standard deviations is
+    searched on the skyline. The best pose is followed to the k1 of least cost. The pose is then searched with that
+    lens; poses of other lenses widen it and are alternatives to it. Without a skyline, the lens stays as stated."""
+    horizon = terrain.horizon_for(camera, prior, config)
+    ridges = ContourDirections.of(horizon, config.contours.nearest)
+    middle = camera.distortion[0]
+
+    def with_k1(k1: float) -> Camera:
+        return replace(camera, distortion=(k1, *camera.distortion[1:]))
+
+    def problem(evidence: PictureEvidence) -> PoseProblem:
+        return PoseProblem(evidence, horizon, prior, config, lens.focal)
+
+    def trial(k1: float, refined: RefinedPose) -> _Trial:
+        return _Trial(k1, refined, refined.cost + 0.5 * ((k1 - middle) / lens.k1) ** 2)
+
+    def followed(start: _Trial, k1: float) -> _Trial:
+        evidence = evidence_of(with_k1(k1))
+        pose, work = start.refined.pose, start.refined.camera
+        around = ridges.in_view(pose, work, config.contours.most_points)
+        return trial(k1, refine(pose, work, problem(evidence), around))
+
+    trials: list[_Trial] = []
+    for step in np.arange(-_K1_REACH, _K1_REACH + _K1_STEP / 2, _K1_STEP):
+        k1 = middle + float(step) * lens.k1
+        evidence = evidence_of(with_k1(k1))
+        if evidence.skyline is not None:
+            found = terrain.above(poses_on_skyline(problem(evidence)))
+            trials += [trial(k1, h.refined) for h in found]
+    if not trials:
+        return find_pose(evidence_of(camera), terrain, prior, config, lens.focal, horizon), camera
+    # The best are followed to neighbouring k1: the grid of focal lengths finds each within its own errors.
+    step = _K1_STEP * lens.k1
+    for _ in range(_HALVINGS):
+        step /= 2
+        trials.sort(key=lambda t: t.cost)
+        trials += [followed(t, t.k1 + sign * step) for t in trials[:_FOLLOWED] for sign in (-1.0, 1.0)]
+    best = min(trials, key=lambda t: t.cost)
+    evidence = evidence_of(with_k1(best.k1))
+    zoom = best.refined.camera.fx / evidence.camera.fx
+    evidence = replace(evidence, camera=evidence.camera.zoomed(zoom))
+    search = find_pose(evidence, terrain, prior, config, _FOCAL_LEFT, horizon)
+    return _with_other_lenses(search, trials, best, config.verdict), with_k1(best.k1).zoomed(zoom)
+
+
+def _with_other_lenses(search: PictureSearch, trials: list[_Trial], best: _Trial, v: VerdictConfig) -> PictureSearch:
+    """Return the search with the spread of the poses of other lenses in its covariance, and its verdict by it."""
+    if not search.hypotheses:
+        return search
+    verdict = search.verdict
+    first, *others = search.hypotheses
+    variance = first.refined.skyline.variance
+    weights: list[float] = []
+    turns: list[Float64Array] = []
+    for trial in sorted(trials, key=lambda t: t.cost):
+        pose, gap = trial.refined.pose, trial.cost - best.cost
+        if abs(float(angles_between(first.refined.pose, pose)[0])) <= math.radians(v.alternative_deg):
+            turn = vector_of_matrix(pose.rotation @ best.refined.pose.rotation.T)
+            # Starts that ended in one place are one pose.
+            if all(float(np.abs(turn - other).max()) > math.radians(v.same_deg) for other in turns):
+                weights.append(math.exp(-gap / (v.agreement * variance)))
+                turns.append(turn)
+        elif verdict.word == "accepted" and gap < v.gap_asked(first.refined.skyline.veiled, variance):
+            reason = f"with a lens of k1 {trial.k1:+.2f}, azimuth {pose.angles_deg[0]:.1f} deg costs {gap:.1f} more"
+            verdict = replace(verdict, word="ambiguous", reason=reason, gap=gap)
+    covariance = first.refined.covariance.copy()
+    if weights:
+        away = np.array(turns)
+        covariance[3:6, 3:6] += (away.T * np.array(weights)) @ away / sum(weights)
+    refined = replace(first.refined, covariance=covariance)
+    verdict = replace(verdict, sigma_deg=refined.sigma_deg)
+    if verdict.word == "accepted" and max(refined.sigma_deg) > v.most_sigma_deg:
+        sigmas = ", ".join(f"{sigma:.2f}" for sigma in refined.sigma_deg)
+        reason = f"other lenses fit as well: azimuth, pitch, roll are known only to {sigmas} deg"
+        verdict = replace(verdict, word="ambiguous", reason=reason)
+    return replace(search, hypotheses=(replace(first, refined=refined), *others), verdict=verdict)

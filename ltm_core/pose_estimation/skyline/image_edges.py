@@ -26,18 +26,16 @@ class ImageContours:
 
 def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = None) -> ImageContours:
     """Compute the edges of a photo (H, W, 3) at the given width in pixels; `hidden` (H, W): areas without edges, clouds
-    and masks.
-
-    The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs along it."""
+    and masks. The gradient over its local root mean square; of it, what stands across the line, less 0.7 of what runs
+    along it."""
     full_height, full_width = photo.shape[:2]
     size = (width, max(2, round(full_height * width / full_width)))
     small = cv2.resize(photo, size, interpolation=cv2.INTER_AREA) if full_width > width else photo
     lab = cie_lab(np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), np.uint8))
     # Of the three channels' gradients, that which is strongest.
-    gu = np.stack([cv2.Scharr(lab[..., c], cv2.CV_32F, 1, 0) for c in range(3)])
-    gv = np.stack([cv2.Scharr(lab[..., c], cv2.CV_32F, 0, 1) for c in range(3)])
-    strongest = np.argmax(gu * gu + gv * gv, axis=0)[None]
-    gu, gv = np.take_along_axis(gu, strongest, 0)[0], np.take_along_axis(gv, strongest, 0)[0]
+    gradients = [np.stack([cv2.Scharr(lab[..., c], cv2.CV_32F, *axis) for c in range(3)]) for axis in ((1, 0), (0, 1))]
+    strongest = np.argmax(gradients[0] ** 2 + gradients[1] ** 2, axis=0)[None]
+    gu, gv = (np.take_along_axis(gradient, strongest, 0)[0] for gradient in gradients)
     if hidden is not None:
         shut = cv2.resize(hidden.astype(np.uint8), (gu.shape[1], gu.shape[0]), interpolation=cv2.INTER_NEAREST)
         shut = cv2.dilate(shut, np.ones((5, 5), np.uint8)) > 0
@@ -56,24 +54,18 @@ def image_contours(photo: UInt8Array, width: int, hidden: BoolArray | None = Non
 
 
 COLUMNS = 240
-_RUN = 3
-"""Number of consecutive rows of land that end the sky."""
-_REACH = 7.0 / 640
-"""Distance around the labels' edge within which the edge is searched, as a share of the image width; sigma is half of
-it."""
+_RUN = 3  # number of consecutive rows of land that end the sky
+_REACH = 7.0 / 640  # distance around the labels' edge to search, as a share of the width; sigma is half of it
 _FAINT = 2.0
 """Gradient in units of CIE Lab at which an edge is known twice as well as by the labels alone. Far ridges in rendered
 haze err by 0.35 pixels from gradients of 5, which corresponds to 1.4; edges in photos are less sharp."""
-_SHARP_PX = 0.45
-"""Standard deviation of sharp edges in pixels."""
+_SHARP_PX = 0.45  # standard deviation of sharp edges in pixels
 
 
 @dataclass(frozen=True, eq=False)
 class ImageSkyline:
-    """The sky's lower edge in up to COLUMNS columns of an image.
-
-    `u`, `v`: (K,) pixels, where sky ends. `sigma_px`: (K,) of v; `cover`: (K,) uint8 label right below it. `spacing`:
-    pixels between columns."""
+    """The sky's lower edge in up to COLUMNS columns of an image. `u`, `v`: (K,) pixels, where sky ends. `sigma_px`:
+    (K,) of v; `cover`: (K,) label below. `spacing`: of columns."""
 
     u: Float64Array
     v: Float64Array
@@ -93,12 +85,17 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     spacing = max(1.0, width / COLUMNS)
     columns = np.unique((np.arange(spacing / 2, width, spacing)).astype(np.int64))
     sky = labels == np.uint8(Label.SKY)
-    top = _first_land(sky, columns, _RUN)
+    land = ~np.pad(sky[:, columns], ((0, _RUN - 1), (0, 0)), constant_values=True)
+    runs = np.logical_and.reduce([land[k : height + k] for k in range(_RUN)])
+    top = np.where(runs.any(axis=0), runs.argmax(axis=0), height)  # the first row of land that goes on
     # A column without any sky is covered by the terrain; "sky" that starts below land is a gap between trees.
     edge = (top > 1) & (top < height - _RUN)
     u, rows = columns[edge], top[edge]
     reach = max(3.0, _REACH * width)
-    strength = _vertical_gradient(photo)
+    # Of the colour from the row above to that below each pixel, in units of CIE Lab.
+    change, lab = np.zeros(photo.shape, np.float32), cie_lab(np.asarray(cv2.GaussianBlur(photo, (0, 0), 1.0), np.uint8))
+    change[1:-1] = lab[2:] - lab[:-2]
+    strength = np.sqrt(np.einsum("hwc,hwc->hw", change, change))
     v, sharpness = _sharpened(strength, u, rows, reach)
     # Below the labels' own edge, too: what stands between the two edges is called sky.
     below = np.minimum(np.maximum(np.rint(v).astype(np.int64), rows) + max(2, height // 180), height - 1)
@@ -109,36 +106,11 @@ def image_skyline(photo: UInt8Array, labels: UInt8Array) -> ImageSkyline:
     return ImageSkyline(u.astype(np.float64), v, sigma, labels[below, u], spacing)
 
 
-def _vertical_gradient(photo: UInt8Array) -> Float32Array:
-    """Return how much the colour changes from the row above to that below each pixel, (H, W), in units of CIE Lab."""
-    lab = cv2.cvtColor(cv2.GaussianBlur(photo, (0, 0), 1.0), cv2.COLOR_RGB2LAB).astype(np.float32)
-    change = np.zeros_like(lab)
-    change[1:-1] = lab[2:] - lab[:-2]
-    change[..., 0] *= np.float32(100 / 255)
-    return np.asarray(np.sqrt(np.einsum("hwc,hwc->hw", change, change)), np.float32)
-
-
-@kernel(nogil=True)
-def _first_land(sky: BoolArray, columns: Int64Array, run: int) -> Int64Array:
-    """Return the first row from which on `run` rows are no sky; H without."""
-    height = sky.shape[0]
-    top = np.full(len(columns), height, np.int64)
-    for k in range(len(columns)):
-        length = 0
-        for v in range(height):
-            length = 0 if sky[v, columns[k]] else length + 1
-            if length == run:
-                top[k] = v - run + 1
-                break
-    return top
-
-
 @kernel(nogil=True)
 def _sharpened(
     strength: Float32Array, columns: Int64Array, rows: Int64Array, reach: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the edge of each column (K,), by a parabola through the strongest gradient near the labels' edge, and how
-    strong it is."""
+    """Return the edge of each column (K,), by a parabola through the strongest gradient, and its strength."""
     height = strength.shape[0]
     v, sharpness = np.empty(len(columns)), np.empty(len(columns))
     for k in range(len(columns)):

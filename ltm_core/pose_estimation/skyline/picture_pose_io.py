@@ -23,10 +23,8 @@ from ltm_core.storage.image_io import read_values
 from ltm_core.tracing.trace_io import GuessConfig, near_frame, write_pose_file
 from ltm_core.vision.labels import Label
 
-AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0
-"""Standard deviations in degrees of angles stated without a sigma: a phone's compass, and a level held by hand."""
-UNSTATED_TILT_SIGMA_DEG = 5.0
-"""Standard deviation in degrees of a pitch or roll that is not stated."""
+AZIMUTH_SIGMA_DEG, TILT_SIGMA_DEG = 6.0, 2.0  # stated without a sigma: a phone's compass, a level held by hand
+UNSTATED_TILT_SIGMA_DEG = 5.0  # standard deviation in degrees of a pitch or roll that is not stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +78,8 @@ def read_labels(path: Path | str, camera: Camera) -> UInt8Array:
     """Read class ids (H, W) from a single-channel PNG of the camera's size. Raises ImageError."""
     labels = read_values(Path(path))
     if labels.ndim != 2 or labels.dtype != np.uint8 or labels.shape != (camera.height, camera.width):
-        raise ImageError(
-            f"{path}: labels must be a single-channel PNG of class ids, {camera.width} x {camera.height} pixels, got "
-            f"{labels.shape} {labels.dtype}"
-        )
+        found = f"{labels.shape} {labels.dtype}"
+        raise ImageError(f"{path}: expected a PNG of class ids, {camera.width} x {camera.height} pixels, found {found}")
     return labels
 
 
@@ -105,8 +101,7 @@ def result_of(search: PictureSearch, prior: PosePrior, camera: Camera) -> PoseRe
     if search.verdict.word != "accepted":
         return PoseResult(prior.pose, camera, prior.covariance, False)
     found = search.hypotheses[0].refined
-    factor = found.camera.fx / search.evidence.camera.fx
-    lens = camera.zoomed(factor)
+    lens = camera.zoomed(found.camera.fx / search.evidence.camera.fx)
     return PoseResult(found.pose, lens, found.covariance[:6, :6], True)
 
 
@@ -129,17 +124,12 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
         return [x + frame.x_origin, y + frame.y_origin, z]
 
     def described(pose: Pose, covariance: Float64Array) -> dict[str, Any]:
-        azimuth, pitch, roll = pose.angles_deg
         sigma = pose_sigmas(pose, covariance)[3:].tolist()
-        return {
-            "position": place(pose),
-            "azimuth_deg": azimuth,
-            "pitch_deg": pitch,
-            "roll_deg": roll,
-            "sigma_deg": [s if math.isfinite(s) else None for s in sigma],
-            "covariance": covariance.tolist(),
-        }
+        angles = dict(zip(("azimuth_deg", "pitch_deg", "roll_deg"), pose.angles_deg, strict=True))
+        known = {"sigma_deg": [s if math.isfinite(s) else None for s in sigma], "covariance": covariance.tolist()}
+        return {"position": place(pose), **angles, **known}
 
+    factor = 1 / search.evidence.camera.fx
     return {
         "verdict": verdict.word,
         "reason": verdict.reason,
@@ -153,12 +143,8 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
         "fx": result.camera.fx,
         "k1": result.camera.distortion[0],
         "hypotheses": [
-            {
-                "angles_deg": list(h.refined.pose.angles_deg),
-                "cost": h.cost,
-                "ridge_score": h.ridge_score,
-                "focal_factor": h.refined.camera.fx / search.evidence.camera.fx,
-            }
+            {"angles_deg": [*h.refined.pose.angles_deg], "cost": h.cost, "ridge_score": h.ridge_score}
+            | {"focal_factor": h.refined.camera.fx * factor}
             for h in search.hypotheses
         ],
     }

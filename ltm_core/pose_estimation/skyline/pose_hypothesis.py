@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -20,8 +20,7 @@ _FOCAL_STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A refined pose with its whole cost: skyline, prior and ridges. `about`: where it is a mean, the best fit of those
-    that it is the mean of."""
+    """A refined pose with its whole cost: skyline, prior and ridges. `about`: of a mean, the best fit in it."""
 
     refined: RefinedPose
     cost: float
@@ -31,24 +30,23 @@ class Hypothesis:
 
 def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
     """Return the hypotheses with the first pose replaced by the mean of those around it, weighted by cost, with their
-    spread as uncertainty, because a smooth slope fits in many places. Those further away are alternatives
-    (`pose_verdict`)."""
+    spread as uncertainty, because a smooth slope fits in many places. Those further away are alternatives."""
     if len(hypotheses) < 2:
         return hypotheses
     best, refined = hypotheses[0], hypotheses[0].refined
     mean, spread = _about_best(hypotheses, config)
-    merged = replace(
-        refined,
-        pose=turned(refined.pose, mean[3:6], mean[:3]),
-        camera=refined.camera.zoomed(math.exp(mean[6])),
-        covariance=refined.covariance + spread,
-    )
+    merged = _moved(refined, mean, refined.covariance + spread)
     return [replace(best, refined=merged, about=refined.pose), *hypotheses[1:]]
 
 
+def _moved(refined: RefinedPose, step: Float64Array, covariance: Float64Array) -> RefinedPose:
+    """Return a pose moved by a step (7,) as in `_change`."""
+    pose, camera = turned(refined.pose, step[3:6], step[:3]), refined.camera.zoomed(math.exp(step[6]))
+    return replace(refined, pose=pose, camera=camera, covariance=covariance)
+
+
 def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """Return the hypotheses with the uncertainty of the first one widened by the distance of those around it; unlike a
-    mean, a pose by ridges alone lies on its edges."""
+    """Return the hypotheses, the first less sure by the distance of those around it: by ridges alone, no mean fits."""
     if len(hypotheses) < 2:
         return hypotheses
     best = hypotheses[0]
@@ -59,11 +57,8 @@ def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> li
 
 def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictConfig) -> Hypothesis | None:
     """Return the first hypothesis moved between the solutions by skyline and by ridges; None if they contradict each
-    other.
-
-    How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean by
-    half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997), and no
-    surer than the surer one."""
+    other. How far their errors go together is not known: ridges take part in both, and so does the prior pose. The mean
+    by half of what each knows is right whatever they share (covariance intersection: Julier and Uhlmann 1997)."""
     a, b = by_skyline.refined, by_ridges.refined
     change = _change(a, b)
     turns = slice(3, 6)
@@ -76,9 +71,7 @@ def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictC
     covariance, step = np.zeros((7, 7)), np.zeros(7)
     covariance[at] = np.linalg.inv(0.5 * (known_a + known_b))
     step[free] = covariance[at] @ (0.5 * known_b @ change[free])
-    camera = a.camera.zoomed(math.exp(step[6]))
-    mean = replace(a, pose=turned(a.pose, step[turns], step[:3]), camera=camera, covariance=covariance)
-    return replace(by_skyline, refined=mean)
+    return replace(by_skyline, refined=_moved(a, step, covariance))
 
 
 def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Float64Array, Float64Array]:
@@ -92,8 +85,7 @@ def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Fl
 def mean_about_best(
     costs: Sequence[float], azimuths: Float64Array, states: Float64Array, variance: float, config: VerdictConfig
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the mean (K,) of states (N, K) and their spread about it (K, K), of those with azimuths (N,), rad, near
-    the first, best one. `variance`: of the skyline's misfits."""
+    """Return mean (K,) and spread (K, K) of states (N, K) whose azimuths (N,), rad, are near the first, best one."""
     near: list[int] = []
     for k in np.flatnonzero(np.abs(azimuths - azimuths[0]) <= math.radians(config.alternative_deg)):
         # Starts that have ended in one place are one pose, however many they were.
@@ -128,10 +120,8 @@ def focal_candidates(focal_sigma: float) -> Float64Array:
     return np.asarray(np.exp(_FOCAL_STEP * np.arange(-n, n + 1)), np.float64)
 
 
-MANY_PLANTS = 0.5
-"""Share of trees and shrubs in the land above which edges belong to them as well as to the ground."""
-OVERGROWN = 0.85
-"""Share above which the image shows hardly anything else."""
+MANY_PLANTS = 0.5  # share of trees and shrubs in the land above which edges belong to them as well as to the ground
+OVERGROWN = 0.85  # share above which the image shows hardly anything else
 Word = Literal["accepted", "ambiguous", "no_skyline", "contradicts_prior"]
 
 
@@ -157,14 +147,11 @@ def judge(
     gap_by_ridges: float | None = None,
 ) -> PoseVerdict:
     """Judge the first of `hypotheses`, which are in order of cost; `by_ridges`: they were found without a skyline.
-    `plants`: the share of trees and shrubs in the image's land. `gap_by_ridges`: ridges alone give the same pose with
-    this gap to alternatives."""
+    `plants`: share of plants in the image's land. `gap_by_ridges`: by which ridges alone prefer the same pose."""
     v = config.verdict
-    nowhere = (math.inf, math.inf, math.inf)
     if not hypotheses:
-        return PoseVerdict(
-            "no_skyline", "the photo shows neither a skyline nor a ridge of the DEM", 0.0, None, nowhere, 0.0
-        )
+        nowhere, reason = (math.inf, math.inf, math.inf), "the photo shows neither a skyline nor a ridge of the DEM"
+        return PoseVerdict("no_skyline", reason, 0.0, None, nowhere, 0.0)
     best = hypotheses[0]
     sigma = azimuth, pitch, roll = best.refined.sigma_deg
     gap, other = math.inf, None
@@ -174,50 +161,40 @@ def judge(
         if away > math.radians(v.alternative_deg):
             gap, other = hypothesis.cost - best.cost + (gap_by_ridges or 0.0), hypothesis.refined.pose.angles_deg[0]
             break
-    support = best.refined.skyline.support
+    seen = best.refined.skyline
 
-    def verdict(word: Word, reason: str) -> PoseVerdict:
-        return PoseVerdict(word, reason, gap, other, sigma, support)
+    def verdict(reason: str, word: Word = "ambiguous") -> PoseVerdict:
+        return PoseVerdict(word, reason, gap, other, sigma, seen.support)
 
-    close = by_ridges or (plants >= OVERGROWN and gap_by_ridges is None)
+    close, open_view = by_ridges or (plants >= OVERGROWN and gap_by_ridges is None), seen.open > v.open_share
     most_azimuth = v.close_azimuth_sigma_deg if close else v.most_sigma_deg
-    open_view = best.refined.skyline.open > v.open_share
     if open_view:
         most_azimuth = min(most_azimuth, v.open_azimuth_sigma_deg)
     if max(sigma) > v.most_sigma_deg or azimuth > most_azimuth:
-        known = "the ridges in the photo" if by_ridges else "the skyline"
-        word: Word = "no_skyline" if by_ridges else "ambiguous"
-        return verdict(
-            word, f"{known} determines azimuth, pitch, roll only to {azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg"
-        )
-    veiled, variance = best.refined.skyline.veiled, best.refined.skyline.variance
-    least = v.gap_asked(veiled, variance)
+        known, word = ("the ridges in the photo", "no_skyline") if by_ridges else ("the skyline", "ambiguous")
+        angles = f"{azimuth:.2f}, {pitch:.2f}, {roll:.2f} deg"
+        return verdict(f"{known} determines azimuth, pitch, roll only to {angles}", cast(Word, word))
+    least, told = v.gap_asked(seen.veiled, seen.variance), ""
     if by_ridges:
-        least = v.plants_gap if plants >= MANY_PLANTS else v.ridges_gap
-        if plants >= MANY_PLANTS and best.ridge_score < v.plants_score:
-            return verdict(
-                "ambiguous", f"the edges on ridges are only {best.ridge_score:.1f} times as strong as by chance"
-            )
-        if variance > v.ridges_variance:
-            return verdict(
-                "ambiguous", f"the photo's skyline contradicts it: the variance of its misfits is {variance:.1f}"
-            )
-    elif variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
-        doubt = "may be land beyond the DEM" if open_view else "leaves an angle uncertain"
-        return verdict(
-            "ambiguous", f"the skyline {doubt}, and the variance of its misfits on the horizon is {variance:.1f}"
-        )
+        planted = plants >= MANY_PLANTS
+        least = v.plants_gap if planted else v.ridges_gap
+        if planted and best.ridge_score < v.plants_score:
+            return verdict(f"the edges on ridges are only {best.ridge_score:.1f} times as strong as by chance")
+        if seen.variance > v.ridges_variance:
+            return verdict(f"the photo's skyline contradicts it: the variance of its misfits is {seen.variance:.1f}")
+    else:
+        if seen.variance > v.most_variance and (open_view or max(sigma) > v.sharp_sigma_deg):
+            doubt = "may be land beyond the DEM" if open_view else "leaves an angle uncertain"
+            return verdict(f"the skyline {doubt}, and the variance of its misfits is {seen.variance:.1f}")
+        if seen.veiled > 0.03:
+            told = f", and plants on near crests may hide {seen.veiled:.0%} of the horizon"
     if gap < least:
-        hidden = f", and plants on near crests may hide {veiled:.0%} of the horizon"
-        told = hidden if veiled > 0.03 and not by_ridges else ""
-        return verdict("ambiguous", f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
+        return verdict(f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
     asked = v.least_support if open_view else v.support_asked(max(sigma))
-    if not by_ridges and support < (asked if gap_by_ridges is None else v.sharp_support):
-        return verdict("ambiguous", f"only {support:.0%} of the photo's skyline fits the terrain's")
+    if not by_ridges and seen.support < (asked if gap_by_ridges is None else v.sharp_support):
+        return verdict(f"only {seen.support:.0%} of the photo's skyline fits the terrain's")
     away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
     if away_by.max() > v.contradiction:
         name = ("azimuth", "pitch", "roll")[int(away_by.argmax())]
-        return verdict("contradicts_prior", f"the photo's {name} is {away_by.max():.1f} sigmas from the stated one")
-    return verdict(
-        "accepted", f"the next best azimuth costs {gap:.1f} more" if math.isfinite(gap) else "no alternative"
-    )
+        return verdict(f"the photo's {name} is {away_by.max():.1f} sigmas from the stated one", "contradicts_prior")
+    return verdict(f"the next best azimuth costs {gap:.1f} more" if gap < math.inf else "no alternative", "accepted")

@@ -56,8 +56,7 @@ class SkylineObservations(Observations):
 
 @dataclass(frozen=True, eq=False)
 class RidgeObservations(Observations):
-    """`shared` (N,): the part of sigma that neighbouring places share (vegetation), px. `ground` (N, 2): map metres
-    from the place that ridges were predicted from."""
+    """`shared` (N,): part of sigma that neighbouring places share, px. `ground` (N, 2): metres from the prediction."""
 
     shared: Float64Array
     ground: Float64Array
@@ -70,11 +69,9 @@ class RidgeObservations(Observations):
 def _projected(
     directions: Float64Array, ranges: Float64Array, pose: Pose, camera: Camera, origin: Float64Array
 ) -> tuple[Float64Array, Float64Array, BoolArray]:
-    """Return the pixels (M, 2) of terrain in directions seen from `origin`, their slopes (M, 2, 7), and which lie in
-    front."""
+    """Return pixels (M, 2) of terrain seen from `origin`, their slopes (M, 2, 7), and which lie in front."""
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    pixels, slopes, ahead = _project(directions, ranges, pose.position - origin, pose.rotation, lens)
-    return pixels, slopes, ahead
+    return _project(directions, ranges, pose.position - origin, pose.rotation, lens)  # type: ignore[no-any-return]
 
 
 @kernel(nogil=True)
@@ -111,8 +108,7 @@ def _project(
 
 
 def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide: float) -> SkylineObservations | None:
-    """Return the terrain's skyline row minus the photo's, column by column; None without a skyline. `wide`: factor of
-    the sigmas."""
+    """Return the terrain's skyline row minus the photo's by column; None without. `wide`: factor of the sigmas."""
     skyline, noise, horizon = problem.evidence.skyline, problem.config.skyline, problem.horizon
     if skyline is None or len(skyline.u) < 8:
         return None
@@ -168,11 +164,8 @@ def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide:
     behind = v + fallen - before * over - skyline.v
     spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, before_sigma) * over)
     hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
-    error, sigma, metre = (
-        np.where(hidden, behind, error),
-        np.where(hidden, spread, sigma),
-        np.where(hidden, over, metre),
-    )
+    pairs = ((behind, error), (spread, sigma), (over, metre))
+    error, sigma, metre = (np.where(hidden, other, own) for other, own in pairs)
     free &= ~hidden
     share = column_weight(skyline, camera, noise.independent_fit)
     weight = np.where(inside & ~free, np.minimum(share, skyline.spacing / metre / noise.correlation), 0.0)
@@ -184,8 +177,7 @@ def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide:
 def ridge_observations(
     pose: Pose, camera: Camera, problem: PoseProblem, ridges: ContourDirections, search: float
 ) -> RidgeObservations | None:
-    """Return the distances across ridges, from the nearest edge within `search` pixels (at width 640) to the predicted
-    place, pixels."""
+    """Return the distances across ridges from the nearest edge within `search` pixels (at width 640), pixels."""
     if len(ridges.range) == 0:
         return None
     evidence, config, origin = problem.evidence, problem.config, problem.horizon.position

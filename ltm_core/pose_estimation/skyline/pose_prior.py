@@ -18,14 +18,12 @@ from ltm_core.geometry.pose import (
     pose_sigmas,
 )
 
-UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG
-"""Standard deviation of an unknown azimuth in degrees."""
+UNKNOWN_DEG = UNKNOWN_AZIMUTH_SIGMA_DEG  # standard deviation of an unknown azimuth in degrees
 
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
     """Prior pose with independent standard deviations: degrees of azimuth, pitch and roll, metres of x and y, and of z.
-
     An azimuth sigma of UNKNOWN_DEG or more says that the heading is unknown. A position sigma of 0 holds the position.
     Raises PoseError for sigmas that are none."""
 

@@ -1,16 +1,11 @@
-"""Refine a pose by least squares over the skyline and the ridges of a photo.
-
-Least squares of a pose over a photo's skyline and the ridges within it, from a start that is right but for a degree.
+"""Refine a pose by least squares over the skyline and the ridges of a photo, from a start within about a degree.
 
 Unknowns: rotations about the map's x, y, z (rad), where they are not held shifts along them (m), and where it is free
 the logarithm of the focal length. The prior pose takes part with its sigmas. Weights are those of `skyline_search`.
 
-Settles a pose on the ridges in its image, whose errors neighbouring places share.
-
-What grows on a ridge stands over the DEM by metres, and by nearly as much a few metres on. Where that is left aside
-(`pose_refinement`: places within a correlation length count as one), a stand of trees pulls a pose as hard as the
-ground does. Here errors are a Gaussian process over the ground, so that the shape of a ridge counts for more than its
-height: least squares whitened by the covariance of all places with each other."""
+A pose may then settle on the ridges alone. What grows on a ridge stands over the DEM by metres, and by nearly as much a
+few metres on. Where that is left aside, a stand of trees pulls a pose as hard as the ground does. There errors are a
+Gaussian process over the ground, so that the shape of a ridge counts for more than its height."""
 
 from __future__ import annotations
 
@@ -37,16 +32,11 @@ from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 
 # Pixels at width 640 within which an edge is sought about a ridge, and by which sigmas of the skyline are widened.
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
-MOST_FOCAL_STEP = 0.05
-"""Maximum step of the focal length's logarithm in one round."""
-FEWEST = 6
-"""Minimum number of places of a skyline or of ridges."""
-_TELLING = 0.02
-"""Standard deviation in radians above which a column does not support a pose."""
-_LEAST_TOLD = 1 / 3
-"""Minimum share of a skyline that the DEM's horizon must cover to count as support."""
-_MOST_SQUARE = 9.0
-"""Maximum squared error of a column in sigmas; columns further off show something else."""
+MOST_FOCAL_STEP = 0.05  # maximum step of the focal length's logarithm in one round
+FEWEST = 6  # minimum number of places of a skyline or of ridges
+_TELLING = 0.02  # standard deviation in radians above which a column does not support a pose
+_LEAST_TOLD = 1 / 3  # minimum share of a skyline that the DEM's horizon must cover to count as support
+_MOST_SQUARE = 9.0  # maximum squared error of a column in sigmas; columns further off show something else
 
 
 @dataclass(frozen=True)
@@ -177,8 +167,7 @@ def picture_system(
 
 
 def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
-    """Return the weight of each of `rows` (N,) as fitting rather than outlying, where `odds` are the density ratio in
-    one sigma of a pixel."""
+    """Return the weight of each of `rows` (N,) as fitting; `odds`: against an outlier, in one sigma of a pixel."""
     q = 1 + (rows.error / rows.sigma) ** 2 / 4
     like = odds / rows.sigma / q**2.5
     # While iterating, the weights of Student's expectation maximisation. In the covariance none: his information, 5/7
@@ -186,10 +175,8 @@ def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
     return np.asarray(like / (1 + like) * (1.0 if expected else 1.25 / q), np.float64)
 
 
-_ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6
-"""Rounds as in `pose_refinement.ROUNDS`."""
-_LEAST_FITTING = 0.02
-"""Minimum fit of an edge; others cost time and add nothing."""
+_ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6  # rounds as in `pose_refinement.ROUNDS`
+_LEAST_FITTING = 0.02  # minimum fit of an edge; others cost time and add nothing
 
 
 def settled_on_ridges(refined: RefinedPose, problem: PoseProblem) -> RefinedPose:
@@ -228,8 +215,7 @@ def ridge_system(
 
 
 def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
-    """Return (N, N), px^2, the covariance of the errors of `rows`, each of which `fits` (N,) so far; unlikely ones get
-    a larger variance."""
+    """Return (N, N), px^2, the covariance of the errors of `rows`, larger for those that hardly fit (`fits`, N)."""
     x, y = rows.ground.T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
     together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)

@@ -17,7 +17,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import (
     ridge_strength,
     usual_score,
 )
-from ltm_core.pose_estimation.skyline.picture_pose_config import CoverHeights, PicturePoseConfig, everywhere
+from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, PicturePoseConfig, crest_heights
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of
@@ -25,61 +25,45 @@ from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 
 _KEPT = 18
-_ANY = everywhere(CoverHeights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3)))
-"""Cover used for all labels if few of them are trees and shrubs: rock and ice, which labels know least."""
-_ALONG = 8.0
-"""Metres and pixels within which errors of a ridge of rock are fully correlated."""
-_FLOOR_DEG = (0.15, 0.05, 0.15)
-"""Minimum standard deviation of azimuth, pitch and roll in degrees; all edges along a ridge may belong to something
-else."""
+_ROCK = crest_heights(tree=(0.3, 0.4), shrub=(0.3, 0.4), grass=(0.2, 0.3), bare=(0.1, 0.3), other=(0.2, 0.3))
+_ANY = CrestCover(_ROCK, _ROCK)  # for all labels if few are plants: rock and ice, which labels know least
+_ALONG = 8.0  # metres and pixels within which errors of a ridge of rock are fully correlated
+_FLOOR_DEG = (0.15, 0.05, 0.15)  # minimum sigmas in degrees; all edges along a ridge may belong to something else
 _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
 """Degrees around each of the coarse grid's best poses at which finer edges are used."""
 _ROUNDS = tuple((reach, 1.0) for reach in (16.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 4.0))
-_SETTLING = ((4.0, 1.0),) * 12
-"""Rounds of both, as in `pose_refinement.ROUNDS`."""
+_SETTLING = ((4.0, 1.0),) * 12  # rounds of both, as in `pose_refinement.ROUNDS`
 
 
 def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     """Return hypotheses in order of cost, without the skyline; none if too few ridges may be in view."""
     evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
-    config = config.model_copy(
-        update={
-            "skyline": config.skyline.model_copy(update={"cover": cover}),
-            "contours": config.contours.model_copy(update={"correlation": _ALONG, "correlation_px": _ALONG}),
-        }
-    )
+    contours = replace(config.contours, correlation=_ALONG, correlation_px=_ALONG)
+    config = replace(config, skyline=replace(config.skyline, cover=cover), contours=contours)
     problem = replace(problem, evidence=replace(evidence, skyline=None), config=config)
     ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
     if len(ridges.range) < 30:
         return []
-    azimuth, pitch, roll = prior.pose.angles_deg
-    camera = evidence.camera
-    coarse = evidence.coarse_edges
-    grid = np.stack(
-        np.meshgrid(
-            azimuth + _steps(_reach_deg(prior, config), 0.5),
-            pitch + _steps(2.5 * prior.pitch_sigma_deg, 0.2),
-            roll + _steps(2.5 * prior.roll_sigma_deg, 1.0),
-            indexing="ij",
-        ),
-        axis=-1,
-    ).reshape(-1, 3)
+    reach = 180.0
+    if prior.heading_known:
+        reach = min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior, config)))
+    steps = _steps(reach, 0.5), _steps(2.5 * prior.pitch_sigma_deg, 0.2), _steps(2.5 * prior.roll_sigma_deg, 1.0)
+    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) + prior.pose.angles_deg
     points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
     few = ridges.thinned(max(1, len(ridges.range) // _COARSE_POINTS))
     found: list[tuple[float, Float64Array, Camera]] = []
     for factor in focal_candidates(problem.focal_sigma):
-        lens = camera.zoomed(factor)
-        scores = contour_scores(rotations_of(grid), few, lens, coarse)
-        scores = scores - _prior_cost(grid, prior)
+        lens = evidence.camera.zoomed(factor)
+        scores = contour_scores(rotations_of(grid), few, lens, evidence.coarse_edges) - _prior_cost(grid, prior)
         first = grid[np.argsort(-scores)[: 16 * _KEPT]]
         nearby = (first[:, None] + _NEARBY).reshape(-1, 3)
-        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges)
-        scores = (scores - _prior_cost(nearby, prior)).reshape(len(first), -1)
+        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges) - _prior_cost(nearby, prior)
+        scores, each = scores.reshape(len(first), -1), nearby.reshape(len(first), -1, 3)
         best = scores.argmax(axis=1)
-        found += [(float(scores[k, j]), nearby[k * len(_NEARBY) + j], lens) for k, j in enumerate(best.tolist())]
+        found += [(float(scores[k, j]), each[k, j], lens) for k, j in enumerate(best.tolist())]
     found.sort(key=lambda entry: -entry[0])
 
     def refined_from(start: Pose, lens: Camera, rounds: tuple[tuple[float, float], ...]) -> RefinedPose:
@@ -107,21 +91,15 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     # as the others are.
     hypotheses[0] = replace(hypotheses[0], refined=refined_from(best.pose, best.camera, _SETTLING))
     kept: list[Hypothesis] = []
-    for hypothesis in hypotheses:
-        if all(_distance(hypothesis.refined.pose, other.refined.pose) > math.radians(0.3) for other in kept):
-            kept.append(hypothesis)
+    for one in hypotheses:
+        off = (np.abs(angles_between(one.refined.pose, other.refined.pose)).max() for other in kept)
+        if all(away > math.radians(0.3) for away in off):
+            kept.append(one)
     return kept
 
 
-def _reach_deg(prior: PosePrior, config: PicturePoseConfig) -> float:
-    if not prior.heading_known:
-        return 180.0
-    return min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior, config)))
-
-
 def _restarts() -> list[Float64Array]:
-    """Return the degrees. Along a ridge that runs up through the image azimuth, pitch and roll make up for each
-    other."""
+    """Return degrees. Along a ridge that runs up through the image, azimuth, pitch and roll compensate."""
     offsets = [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
     return [sign * np.array(offset) for offset in offsets for sign in (1.0, -1.0)]
 
@@ -143,22 +121,14 @@ def _prior_cost(grid: Float64Array, prior: PosePrior) -> Float64Array:
 def _apart(found: list[tuple[Float64Array, Camera]]) -> list[tuple[Float64Array, Camera]]:
     kept: list[tuple[Float64Array, Camera]] = []
     for angles, lens in found:
-        if len(kept) == _KEPT:
-            break
-        if all(
-            float(np.abs((angles - other) / (1.0, 0.6, 1.2)).max()) >= 0.99 or lens is not another
-            for other, another in kept
-        ):
+        same = (other for other, another in kept if lens is another)
+        apart = all(float(np.abs((angles - other) / (1.0, 0.6, 1.2)).max()) >= 0.99 for other in same)
+        if apart and len(kept) < _KEPT:
             kept.append((angles, lens))
     return kept
 
 
-def _distance(a: Pose, b: Pose) -> float:
-    return float(np.abs(angles_between(a, b)).max())
-
-
-_SKYLINE_SETTLING = ((3.0, 1.0),) * 6
-"""Further rounds, as in `ROUNDS`."""
+_SKYLINE_SETTLING = ((3.0, 1.0),) * 6  # further rounds, as in `ROUNDS`
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
 
@@ -178,26 +148,18 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     candidates = []
     for factor in focal_candidates(problem.focal_sigma):
         camera = evidence.camera.zoomed(factor)
-        costs = search_azimuths(
-            skyline,
-            camera,
-            pitch,
-            roll,
-            (math.radians(prior.pitch_sigma_deg), math.radians(prior.roll_sigma_deg)),
-            horizon,
-            azimuths,
-            position_sigma,
-            config.skyline,
-        )
+        costs = search_azimuths(skyline, camera, prior, horizon, azimuths, position_sigma, config.skyline)
         angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
         scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
         candidates.append((camera, angles, costs.cost, scores))
-    everything = np.concatenate([scores for *_, scores in candidates])
-    usual, spread = usual_score(everything)
+    usual, spread = usual_score(np.concatenate([scores for *_, scores in candidates]))
     ranked: list[tuple[float, Float64Array, Camera]] = []
     for camera, angles, cost, scores in candidates:
-        total = cost + _heading_cost(angles[:, 0], prior) + _ridge_cost(scores, usual, spread, config)
-        ranked += list(zip(total.tolist(), angles, [camera] * len(angles), strict=True))
+        total = cost + _ridge_cost(scores, usual, spread, config)
+        if prior.heading_known:
+            away = (angles[:, 0] - azimuth + 180.0) % 360.0 - 180.0
+            total += 0.5 * (away / prior.azimuth_sigma_deg) ** 2
+        ranked += [(float(c), at, camera) for c, at in zip(total, angles, strict=True)]
     ranked.sort(key=lambda entry: entry[0])
     starts: list[tuple[Pose, Camera]] = []
     for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.extra_hypotheses, s.extra_apart_deg)):
@@ -243,10 +205,3 @@ def _best_over_pitch(
 def _ridge_cost(scores: Float64Array, usual: float, spread: float, config: PicturePoseConfig) -> Float64Array:
     z = np.clip((scores - usual) / spread, 0.0, config.contours.most)
     return np.asarray(-config.contours.weight * z * z / 2, np.float64)
-
-
-def _heading_cost(azimuths_deg: Float64Array, prior: PosePrior) -> Float64Array:
-    if not prior.heading_known:
-        return np.zeros(len(azimuths_deg))
-    away = (azimuths_deg - prior.pose.angles_deg[0] + 180.0) % 360.0 - 180.0
-    return np.asarray(0.5 * (away / prior.azimuth_sigma_deg) ** 2, np.float64)

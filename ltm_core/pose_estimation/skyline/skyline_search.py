@@ -19,11 +19,11 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
 from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineConfig, farness
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
 _STARTS = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
-_ROUNDS = np.array([6.0, 3.0, 1.5, 1.0, 1.0])
-"""Factors by which sigmas are widened in the rounds of the robust fit."""
+_ROUNDS = np.array([6.0, 3.0, 1.5, 1.0, 1.0])  # factors by which sigmas are widened in the rounds of the robust fit
 
 # Columns of the photo's skyline, one row for each image column.
 AWAY, TANGENT = 0, 1  # azimuth from the optical axis (rad), tangent of the elevation
@@ -51,31 +51,28 @@ class SkylineCosts:
 def search_azimuths(
     skyline: ImageSkyline,
     camera: Camera,
-    pitch_deg: float,
-    roll_deg: float,
-    tilt_sigma: tuple[float, float],
+    prior: PosePrior,
     horizon: TerrainHorizon,
     azimuths: Float64Array,
     position_sigma: float,
     config: SkylineConfig,
 ) -> SkylineCosts:
-    """Return the costs of azimuths (Y,), radians, of an undistorted camera.
-
-    `tilt_sigma`: radians, of pitch and roll as they are given. `position_sigma`: metres."""
-    rays = np.column_stack(
-        [(skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy, np.ones(len(skyline.u))]
-    )
-    away, tangent = _level(rays, pitch_deg, roll_deg)
+    """Return the costs of azimuths (Y,), radians, of an undistorted camera with the tilt of the prior pose.
+    `position_sigma`: metres."""
+    _, pitch, roll = prior.pose.angles_deg
+    x, y = (skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy
+    rays = np.column_stack([x, y, np.ones(len(x))])
+    away, tangent = _level(rays, pitch, roll)
     small = 0.05
-    by_pitch = (_level(rays, pitch_deg + small, roll_deg)[1] - tangent) / np.radians(small)
-    by_roll = (_level(rays, pitch_deg, roll_deg + small)[1] - tangent) / np.radians(small)
+    by_pitch = (_level(rays, pitch + small, roll)[1] - tangent) / np.radians(small)
+    by_roll = (_level(rays, pitch, roll + small)[1] - tangent) / np.radians(small)
     cover = config.cover.of(skyline.cover)
     columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover])
     step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
     h, share = horizon, column_weight(skyline, camera, config.independent)
     crests = [h.tangent, h.range, h.cell, h.bound, h.front_tangent, h.front_range]
     crests += [farness(h.range), farness(h.front_range)]
-    setting = np.array([step / 3.5, position_sigma, *tilt_sigma, skyline.spacing / camera.fx])
+    setting = np.array([step / 3.5, position_sigma, *prior.sigmas[4:], skyline.spacing / camera.fx])
     c = config
     noise = np.array([c.dem_sigma, c.cell_share, c.cell_lift, c.correlation, c.odds, share, c.own_crest])
     out = _search(columns, np.column_stack(crests), h.start, h.step, h.whole, azimuths, setting, noise)
@@ -95,9 +92,16 @@ def _level(rays: Float64Array, pitch_deg: float, roll_deg: float) -> tuple[Float
 
 @helper(inline="always")
 def _cover(column: Float64Array, far: float) -> tuple[float, float]:
-    """Return the height and sigma of what grows on a crest so far away; `crest_cover.CrestCover.at`, compiled."""
+    """Return the height and sigma of what grows on a crest so far away; `CrestCover.at`, compiled."""
     near = 1 - far
     return near * column[NEAR_HEIGHT] + far * column[FAR_HEIGHT], near * column[NEAR_SIGMA] + far * column[FAR_SIGMA]
+
+
+@helper(inline="always")
+def _student(z: float) -> float:
+    """Return Student's density with four degrees of freedom, over that at 0."""
+    q = 1 + z * z / 4
+    return float(1 / (q * q * np.sqrt(q)))
 
 
 @kernel(nogil=True)
@@ -171,27 +175,24 @@ def _search(
                 pa, pb = 0.0, 0.0
                 for n in range(used.size):
                     k = int(used[n])
-                    e = error[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                    turn = a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                    e = error[k] + turn
                     free = e if e < 0 else max(0.0, e - gap[k])
                     s = sigma[k] * wide
                     # Towards the nearer end of what fits: the horizon, or the bound above it.
                     target = error[k] if e < 0 else error[k] - gap[k]
                     if gap[k] > 0 and e > 0:
-                        q = 1 + e * e / (4 * s * s)
-                        if own / s / (q * q * np.sqrt(q)) > (1 - own) / (s + 0.375 * gap[k]):
+                        if own / s * _student(e / s) > (1 - own) / (s + 0.375 * gap[k]):
                             free, target = e, error[k]
                         elif free == 0.0:
                             continue
-                    q = 1 + free * free / (4 * s * s)
-                    like = odds / s / (q * q * np.sqrt(q))
-                    w = weight[k] * like / (1 + like) * 1.25 / q / (s * s)
+                    like, off = odds / s * _student(free / s), free
                     if front_sigma[k] > 0.0:
                         s2 = front_sigma[k] * wide
-                        q2 = 1 + (front[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]) ** 2 / (4 * s2 * s2)
-                        other = odds / s2 / (q2 * q2 * np.sqrt(q2))
+                        other = odds / s2 * _student((front[k] + turn) / s2)
                         if other > like:
-                            w = weight[k] * other / (1 + other) * 1.25 / q2 / (s2 * s2)
-                            target = front[k]
+                            like, s, off, target = other, s2, front[k] + turn, front[k]
+                    w = weight[k] * like / (1 + like) * 1.25 / (1 + off * off / (4 * s * s)) / (s * s)
                     paa += w * columns[k, BY_PITCH] ** 2
                     pab += w * columns[k, BY_PITCH] * columns[k, BY_ROLL]
                     pbb += w * columns[k, BY_ROLL] ** 2
@@ -203,18 +204,14 @@ def _search(
             cost = 0.5 * (a / pitch_sigma) ** 2 + 0.5 * (b / roll_sigma) ** 2
             for n in range(used.size):
                 k = int(used[n])
-                e = error[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                turn = a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]
+                e = error[k] + turn
                 free = e if e < 0 else max(0.0, e - gap[k])
-                q = 1 + free * free / (4 * sigma[k] ** 2)
-                like = odds / (sigma[k] + 0.375 * gap[k]) / (q * q * np.sqrt(q))
+                like = odds / (sigma[k] + 0.375 * gap[k]) * _student(free / sigma[k])
                 if gap[k] > 0:
-                    q = 1 + e * e / (4 * sigma[k] ** 2)
-                    like = (1 - own) * like + own * odds / sigma[k] / (q * q * np.sqrt(q))
+                    like = (1 - own) * like + own * odds / sigma[k] * _student(e / sigma[k])
                 if front_sigma[k] > 0.0:
-                    q2 = 1 + (front[k] + a * columns[k, BY_PITCH] + b * columns[k, BY_ROLL]) ** 2 / (
-                        4 * front_sigma[k] ** 2
-                    )
-                    like = 0.5 * (like + odds / front_sigma[k] / (q2 * q2 * np.sqrt(q2)))
+                    like = 0.5 * (like + odds / front_sigma[k] * _student((front[k] + turn) / front_sigma[k]))
                 cost -= share * np.log(1 + like)
             if cost < best:
                 best = cost

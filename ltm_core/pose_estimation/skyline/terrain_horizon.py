@@ -19,12 +19,9 @@ from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_seam_kernels import bilinear
 from ltm_core.tracing.possible_ground import PossibleGround
 
-_MOST_RISE = 4.0
-"""Maximum difference in tangent between neighbours of a contour, in steps of azimuth."""
-_MOST_CHANGE = 0.12
-"""Maximum difference in the logarithm of the range between neighbours of a contour."""
-_SHORTEST = math.radians(0.6)
-"""Minimum span of a contour in azimuth; shorter ones are single trees and noise of the DEM."""
+_MOST_RISE = 4.0  # maximum difference in tangent between neighbours of a contour, in steps of azimuth
+_MOST_CHANGE = 0.12  # maximum difference in the logarithm of the range between neighbours of a contour
+_SHORTEST = math.radians(0.6)  # minimum span of a contour in azimuth; shorter ones are single trees and noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,25 +39,8 @@ class OccludingContours:
         return len(self.azimuth)
 
 
-def link_contours(start: float, step: float, points: Float64Array, found: Int32Array) -> OccludingContours:
-    """Link points (N, K, 3) of N azimuths, of which `found` (N,) are set, each (tangent, range, cell), from one azimuth
-    to the next; contours shorter than 0.6 degrees are dropped."""
-    following, length = _link(points, found, step)
-    kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
-    rows, cols = np.nonzero(kept)
-    number = np.full(kept.shape, -1, np.int64)
-    number[rows, cols] = np.arange(len(rows))
-    after = following[rows, cols]
-    ends = (after < 0) | (rows + 1 >= len(found))
-    linked = np.where(ends, -1, number[np.minimum(rows + 1, len(found) - 1), np.maximum(after, 0)])
-    t, r, cell = (values.copy() for values in points[rows, cols].T)
-    return OccludingContours(np.asarray(start + step * rows, np.float64), t, r, cell, linked)
-
-
-X_MIN, Y_MAX, RESOLUTION = 0, 1, 2
-"""Columns of the geometry of rasters, finest first (metres)."""
-TANGENT, RANGE, CELL, AT_EDGE, BOUND, FRONT_TANGENT, FRONT_RANGE = range(7)
-"""Columns of a swept horizon, one row for each azimuth, in the order of the fields of `TerrainHorizon`."""
+X_MIN, Y_MAX, RESOLUTION = 0, 1, 2  # columns of the geometry of rasters, finest first (metres)
+TANGENT, RANGE, CELL, AT_EDGE, BOUND, FRONT_TANGENT, FRONT_RANGE = range(7)  # columns of a swept horizon, by azimuth
 
 
 @kernel(nogil=True)
@@ -94,12 +74,10 @@ def _link(points: Float64Array, found: Int32Array, step: float) -> tuple[Int32Ar
     return following, length
 
 
-_NEAREST = 20.0
-"""Minimum range in metres; nearer, the DEM's error is as large as the shape of the ground."""
+_NEAREST = 20.0  # minimum range in metres; nearer, the DEM's error is as large as the shape of the ground
 _FARTHEST = 80_000.0
 _NEAREST_FRONT, _TREES = 120.0, 5.0
-_MOST_CONTOURS = 24
-"""Maximum number of points of occluding contours along one azimuth."""
+_MOST_CONTOURS = 24  # maximum number of points of occluding contours along one azimuth
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +114,7 @@ class TerrainHorizon:
 
     @property
     def open(self) -> BoolArray:
-        """Return (N,) whether land beyond the DEM may rise above the known horizon by more than a hundredth of a
-        degree."""
+        """Return (N,) whether land beyond the DEM may rise above the horizon by over a hundredth of a degree."""
         return np.asarray(self.bound > self.tangent + 2e-4, np.bool_)
 
 
@@ -150,10 +127,8 @@ def terrain_horizon(
     half_width: float = math.pi,
     step: float = math.radians(0.04),
 ) -> TerrainHorizon:
-    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`.
-
-    `bend`: of rays, 1/m. `possible`: how high ground may be that the DEM does not know. Raises PoseError where nothing
-    of the DEM lies around the position."""
+    """Compute the horizon from `position` (3,), within `half_width` radians of `azimuth`. `bend`: of rays, 1/m.
+    `possible`: heights of unknown ground. Raises PoseError if no DEM lies around the position."""
     count = math.ceil(2 * min(half_width, math.pi) / step)
     if half_width >= math.pi:
         step = 2 * math.pi / count
@@ -163,31 +138,32 @@ def terrain_horizon(
     top = max(float(np.nanmax(level.elevation)) for level in levels)
     rows, points = np.empty((count, 7)), np.empty((count, _MOST_CONTOURS, 3))
     found = np.zeros(count, np.int32)
-    elevations = tuple(_read_only(level.elevation) for level in levels)
+    elevations = tuple(level.elevation.view() for level in levels)
+    for elevation in elevations:  # of one type for compiled code, whichever of them are shared
+        elevation.flags.writeable = False
     place, beyond = np.array(position, np.float64), np.array([possible.steepest, possible.limit(top)])
-    _sweep(elevations, geometry, place, bend, start, step, _reach(levels, position), beyond, rows, points, found)
+    x, y = float(position[0]), float(position[1])
+    x_min, y_min, x_max, y_max = levels[-1].geometry.bounds
+    reach = min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
+    _sweep(elevations, geometry, place, bend, start, step, reach, beyond, rows, points, found)
     if not (rows[:, RANGE] > 0).any():
-        x, y, _ = (float(v) for v in position)
+        covered = levels[-1].geometry.described()
         raise PoseError(
-            f"no known terrain around ({x:.0f}, {y:.0f}): the DEM covers {levels[-1].geometry.described()}; check the "
-            "camera's position and its crs, or give a DEM that surrounds it"
+            f"no known terrain around ({x:.0f}, {y:.0f}), the DEM covers {covered}; check the camera's place"
         )
     tangent, rng, cell, at_edge, bound, front, front_range = rows.T.copy()
-    contours = link_contours(start, step, points, found)
+    # Contours that are long enough, linked from one azimuth to the next.
+    following, length = _link(points, found, step)
+    kept = (np.arange(points.shape[1]) < found[:, None]) & (length * step >= _SHORTEST)
+    at, cols = np.nonzero(kept)
+    number = np.full(kept.shape, -1, np.int64)
+    number[at, cols] = np.arange(len(at))
+    after = following[at, cols]
+    linked = number[np.minimum(at + 1, count - 1), np.maximum(after, 0)]
+    linked[(after < 0) | (at + 1 >= count)] = -1
+    t, r, size = points[at, cols].T.copy()
+    contours = OccludingContours(np.asarray(start + step * at, np.float64), t, r, size, linked)
     return TerrainHorizon(place, start, step, tangent, rng, cell, at_edge > 0, bound, front, front_range, contours)
-
-
-def _read_only(elevation: Float32Array) -> Float32Array:
-    """Check that the rasters of a stack are of one type for compiled code, whichever of them are shared."""
-    view = elevation.view()
-    view.flags.writeable = False
-    return view
-
-
-def _reach(levels: tuple[Dem, ...], position: Float64Array) -> float:
-    x_min, y_min, x_max, y_max = levels[-1].geometry.bounds
-    x, y = float(position[0]), float(position[1])
-    return min(_FARTHEST, math.hypot(max(x_max - x, x - x_min), max(y_max - y, y - y_min)))
 
 
 @kernel(nogil=True)
@@ -204,8 +180,7 @@ def _sweep(
     points: Float64Array,
     found: Int32Array,
 ) -> None:
-    """Fill the rows of the horizon, and of each azimuth the contour points (tangent, range, cell) and how many there
-    are."""
+    """Fill the rows of the horizon, and the contour points (tangent, range, cell) of each azimuth and their count."""
     ox, oy, oz = position
     steepest, limit = possible
     most = points.shape[1]

@@ -21,8 +21,7 @@ from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.pose_estimation.points.resection_adjustment import applied, size_of
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.lens_search import find_pose_and_lens
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose, find_pose_and_lens
 from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem

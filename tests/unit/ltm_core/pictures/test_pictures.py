@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes.rasters import rough_terrain, standing
 
-from ltm_core.base.errors import ImageError, RasterError
+from ltm_core.base.errors import RasterError
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -166,17 +166,6 @@ def test_error_colors() -> None:
     assert small.sum() < 60 < 400 < large.sum()
     assert tuple(sky) == SKY_COLOR
     assert tuple(missed) == tuple(unknown) == (190, 192, 196)
-
-
-@pytest.mark.parametrize(("near", "far"), [(0.0, 10.0), (10.0, 10.0), (20.0, 10.0), (1.0, np.inf), (np.nan, 5.0)])
-def test_range_scale_refuses_what_is_no_scale(near: float, far: float) -> None:
-    with pytest.raises(ImageError, match="near < far"):
-        RangeScale(near, far)
-
-
-def test_overlay_refuses_a_layer_that_does_not_lie_on_the_image() -> None:
-    with pytest.raises(ImageError, match="31 x 17"):
-        overlay_depth(photo(30, 44), np.ones((17, 31), np.float32))
 
 
 def test_map_refuses_rasters_that_do_not_fit() -> None:

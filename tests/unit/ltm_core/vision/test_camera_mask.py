@@ -12,7 +12,7 @@ from ltm_core.base.errors import ConfigError, SiteVerdict
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site_check import check_site
 from ltm_core.site.site_io import load_site
-from ltm_core.vision.masks import read_mask, write_mask
+from ltm_core.vision.masks import MaskMaker, write_mask
 
 
 def corner(height: int = MAST.height, width: int = MAST.width) -> np.ndarray:
@@ -32,7 +32,7 @@ def site_with(folder: Path, mask: object, camera: str = "mast") -> Path:
 def test_a_mask_comes_back_as_it_was_written(tmp_path: Path) -> None:
     hidden = corner()
     write_mask(tmp_path / "m.png", hidden)
-    np.testing.assert_array_equal(read_mask(tmp_path / "m.png", "here").hidden, hidden)
+    np.testing.assert_array_equal(MaskMaker(tmp_path / "m.png", "here")(*hidden.shape[::-1]).hidden, hidden)
     scene = site_scene_filter(load_site(site_with(tmp_path, "m.png")), "mast")
     blocks = np.random.default_rng(3).integers(20, 235, (MAST.height // 8, MAST.width // 8, 3), np.uint8)
     view = scene.look(blocks.repeat(8, 0).repeat(8, 1))

@@ -18,7 +18,6 @@ from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import UNLABELLED
-from ltm_core.vision.mask_proposals import propose_mask
 from ltm_core.vision.masks import CameraMask
 from ltm_core.vision.overlays import fill_hidden, find_overlay, scene_of
 from ltm_core.vision.scene_view import SceneFilter
@@ -107,15 +106,6 @@ def test_the_scene_alone_is_judged_and_given_to_networks(kind: str) -> None:
     apart = np.abs(cv2.blur(seen, (31, 31)).astype(int) - cv2.blur(clear(), (31, 31)))
     before = np.abs(cv2.blur(drawn, (31, 31)).astype(int) - cv2.blur(clear(), (31, 31)))
     assert apart[truth].mean() < 0.5 * before[truth].mean()
-
-
-@pytest.mark.parametrize("kind", FRAMES)
-def test_bars_are_proposed_for_a_mask_from_one_image_or_several(kind: str) -> None:
-    frames = [FRAMES[kind](clear(seed))[0] for seed in (3, 4)]
-    truth = FRAMES[kind](clear())[1]
-    for given in (frames[:1], frames):
-        (bar,) = (proposal.hidden for proposal in propose_mask(given) if proposal.kind == "bar")
-        assert (bar & truth).sum() > 0.97 * truth.sum()
 
 
 def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

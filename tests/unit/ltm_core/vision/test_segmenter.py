@@ -10,7 +10,6 @@ from scenes.networks import COLORS, changed, write_classifier
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.types import BoolArray, UInt8Array
-from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.network_image import InputSpec, as_tensor
 from ltm_core.vision.resampling import upsampled_winner
@@ -188,21 +187,3 @@ def test_logits_declared_as_probabilities_are_refused(tmp_path: Path) -> None:
     segmenter = Segmenter.open(changed(write_classifier(tmp_path), output={"kind": "probabilities"}))
     with pytest.raises(ModelError, match=r"kind: logits"):
         segmenter.segment(_photo()[0])
-
-
-def test_the_default_network_tells_sky_from_ground() -> None:
-    """A plain scene: blue gradient over rough dark slopes whose crest falls to the right."""
-    segmenter = Segmenter.open()
-    height, width = 540, 960
-    crest = np.linspace(200, 330, width)
-    ground = np.arange(height)[:, None] > crest[None]
-    rng = np.random.default_rng(5)
-    sky = np.array([120, 165, 215]) + np.linspace(0, 50, height)[:, None, None]
-    rough = np.repeat(rng.normal(0.0, 18.0, (height // 4, width // 4)), 4, axis=0).repeat(4, axis=1)[..., None]
-    slope = np.array([70, 72, 45]) + rough
-    photo = np.clip(np.where(ground[..., None], slope, sky), 0, 255).astype(np.uint8)
-    found = segmenter.segment(photo).labels
-    assert (
-        SegmentationScore.empty(2).plus(ground.astype(np.uint8), (found != Label.SKY).astype(np.uint8)).iou.min() > 0.9
-    )
-    assert np.mean(np.isin(found[ground], [Label.GRASS, Label.SHRUB, Label.TREE, Label.BARE])) > 0.9

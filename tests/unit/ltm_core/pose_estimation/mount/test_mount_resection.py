@@ -121,17 +121,6 @@ def test_encoders_of_0_03_deg_leave_what_few_landmarks_must(count: int, median: 
     assert worst_error_deg(azimuth_only, true) > 1.0
 
 
-def test_the_lens_is_calibrated_at_the_zooms_of_the_pictures() -> None:
-    rng = np.random.default_rng(3)
-    real = LENS.scaled({1.0: 1.03, 257.0: 0.98})
-    points = marked(head(), spread(6, rng), rng, 0.01, 0.3, each=4, zooms=(1.0, 257.0), lens=real)
-    found = resect_mount(points, STATED, LENS, BEND)
-    assert found.focal_factors[1.0] == pytest.approx(1.03, abs=0.003)
-    assert found.focal_factors[257.0] == pytest.approx(0.98, abs=0.003)
-    assert found.lens.camera(257.0).fx == pytest.approx(real.camera(257.0).fx, rel=0.003)
-    assert worst_error_deg(found.model, head()) < 0.05
-
-
 def test_a_landmark_marked_wrongly_is_left_out_and_named() -> None:
     rng = np.random.default_rng(4)
     points = marked(head(), spread(9, rng), rng, 0.03, 0.5)

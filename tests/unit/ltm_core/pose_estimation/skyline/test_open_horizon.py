@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -90,8 +91,8 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
     found = find_pose(clear(), OPEN, PRIOR)
     assert found.verdict.word == "accepted"
-    asked = CONFIG.verdict.model_copy(update={"open_gap": found.verdict.gap + 1.0})
-    doubted = find_pose(clear(), OPEN, PRIOR, CONFIG.model_copy(update={"verdict": asked}))
+    asked = replace(CONFIG.verdict, open_gap=found.verdict.gap + 1.0)
+    doubted = find_pose(clear(), OPEN, PRIOR, replace(CONFIG, verdict=asked))
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,22 +115,6 @@ def test_a_pose_at_the_edge_of_the_search_is_not_taken(away_deg: float, word: st
     assert judge(found, False, prior, PicturePoseConfig(), 0.3).word == word
 
 
-@pytest.mark.parametrize(
-    ("support", "turn_deg", "open_share", "word"),
-    [
-        (0.6, 0.2, 0.0, "accepted"),
-        (0.6, 0.4, 0.0, "ambiguous"),
-        (0.7, 0.4, 0.0, "accepted"),
-        (0.45, 0.2, 0.0, "ambiguous"),
-        (0.6, 0.2, 0.5, "ambiguous"),
-    ],
-)
-def test_a_sharp_pose_needs_less_of_the_skyline_but_where_that_may_be_another_s(
-    support: float, turn_deg: float, open_share: float, word: str
-) -> None:
-    assert word_of((0.1, 0.05, turn_deg), SkylineFit(support=support, open=open_share)) == word
-
-
 def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
     skyline, ridges = moved(0.0, (0.6, 0.05, 0.2)), moved(0.5, (0.3, 0.05, 0.2))
     both = mean_of_both(skyline, ridges, CONFIG)
@@ -149,22 +134,6 @@ def test_skyline_and_ridges_that_contradict_each_other_have_no_mean(apart_deg: f
     assert (both is not None) == agree
 
 
-@pytest.mark.parametrize(
-    ("variance", "turn_deg", "open_share", "word"),
-    [
-        (2.4, 0.4, 0.0, "ambiguous"),
-        (2.1, 0.4, 0.0, "accepted"),
-        (2.4, 0.2, 0.0, "accepted"),
-        (2.4, 0.2, 0.5, "ambiguous"),
-    ],
-)
-def test_large_misfits_are_another_skyline_s_where_no_pose_is_sharp(
-    variance: float, turn_deg: float, open_share: float, word: str
-) -> None:
-    seen = SkylineFit(support=0.95, variance=variance, open=open_share)
-    assert word_of((0.1, 0.05, turn_deg), seen) == word
-
-
 @pytest.mark.parametrize(("gap_by_ridges", "word"), [(None, "ambiguous"), (0.5, "ambiguous"), (1.5, "accepted")])
 def test_what_ridges_hold_against_an_alternative_counts(gap_by_ridges: float | None, word: str) -> None:
     found = [hypothesis(60.0, -100.0), hypothesis(75.0, -97.0)]
@@ -174,12 +143,30 @@ def test_what_ridges_hold_against_an_alternative_counts(gap_by_ridges: float | N
     assert verdict.gap == pytest.approx(3.0 + (gap_by_ridges or 0.0))
 
 
+SEEN = {"support": 0.95, "variance": 1.0, "open": 0.0, "turn": 0.4, "ridges": None}
+
+
 @pytest.mark.parametrize(
-    ("support", "gap_by_ridges", "word"), [(0.6, None, "ambiguous"), (0.6, 0.0, "accepted"), (0.45, 0.0, "ambiguous")]
+    ("change", "word"),
+    [
+        # A sharp pose needs less of the skyline, but where that may be another's.
+        ({"support": 0.6, "turn": 0.2}, "accepted"),
+        ({"support": 0.6}, "ambiguous"),
+        ({"support": 0.7}, "accepted"),
+        ({"support": 0.45, "turn": 0.2}, "ambiguous"),
+        ({"support": 0.6, "turn": 0.2, "open": 0.5}, "ambiguous"),
+        # Large misfits are another skyline's where no pose is sharp.
+        ({"variance": 2.4}, "ambiguous"),
+        ({"variance": 2.1}, "accepted"),
+        ({"variance": 2.4, "turn": 0.2}, "accepted"),
+        ({"variance": 2.4, "turn": 0.2, "open": 0.5}, "ambiguous"),
+        # Where ridges agree, half of the skyline will do.
+        ({"support": 0.6, "ridges": 0.0}, "accepted"),
+        ({"support": 0.6, "ridges": 0.0, "open": 0.5}, "accepted"),
+        ({"support": 0.45, "ridges": 0.0}, "ambiguous"),
+    ],
 )
-@pytest.mark.parametrize("open_share", [0.0, 0.5])
-def test_where_ridges_agree_half_of_the_skyline_will_do(
-    support: float, gap_by_ridges: float | None, word: str, open_share: float
-) -> None:
-    seen = SkylineFit(support=support, open=open_share)
-    assert word_of((0.25, 0.05, 0.4), seen, gap_by_ridges=gap_by_ridges) == word
+def test_how_much_of_the_skyline_must_fit(change: dict[str, Any], word: str) -> None:
+    v = SEEN | change
+    seen = SkylineFit(support=v["support"], variance=v["variance"], open=v["open"])
+    assert word_of((0.1, 0.05, v["turn"]), seen, gap_by_ridges=v["ridges"]) == word

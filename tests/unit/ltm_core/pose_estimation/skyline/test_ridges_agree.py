@@ -33,7 +33,7 @@ def by_skyline() -> PictureSearch:
 
 def with_verdict(**limits: float) -> PicturePoseConfig:
     config = PicturePoseConfig()
-    return config.model_copy(update={"verdict": config.verdict.model_copy(update=limits)})
+    return replace(config, verdict=replace(config.verdict, **limits))
 
 
 LONE = {"lone_score": 1e6, "lone_sigma_deg": 1e-6}
