@@ -5,17 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.number_text import difference, number
+from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
+from ltm_core.fire.pyretechnics import interpreter
+from ltm_core.fuel.class_map import read_fuel_map, resampled, write_fuel_map
+from ltm_core.fuel.export.companion_files_io import remove_item, style_owner, write_palette_style
+from ltm_core.fuel.export.provenance import software
+from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_surface import open_stored_surface
+from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_files, require_folder
-from ltm_ros.cli.output import Overwrite, print_table
-
-if TYPE_CHECKING:
-    from ltm_core.geometry.grid import GridGeometry
+from ltm_core.surface.surface_io import BANDS, write_export
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.cli.output import Overwrite, print_table, say, working
+from ltm_ros.fuel_map.export import export_site, sidecars
+from ltm_ros.fuel_map.source import FuelSource
+from ltm_ros.recordings.recorded_run import last_fuel_map
 
 
 class Format(StrEnum):
@@ -51,20 +63,16 @@ _FOLDERS = (Format.elmfire, Format.layers)
 def export(
     source: Annotated[
         Path,
-        typer.Argument(
-            help="Fuel map store (.ltm), terrain store (.sqlite), bag with fuel_map topic, or fuel map GeoTIFF."
-        ),
+        Argument(help="Fuel map store (.ltm), terrain store (.sqlite), bag with fuel_map topic, or fuel map GeoTIFF."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Output file, or folder for elmfire and layers.")],
-    site: Annotated[
-        Path | None, typer.Option("--site", help="Site file; required except for a GeoTIFF of classes.")
-    ] = None,
+    out: Annotated[Path, Option("--out", "-o", help="Output file, or folder for elmfire and layers.")],
+    site: Annotated[Path | None, Option("--site", help="Site file; required except for a GeoTIFF of classes.")] = None,
     crs: Annotated[
-        str | None, typer.Option(help="Target CRS; EPSG:5070 gives LANDFIRE's grid. Default: the source's CRS.")
+        str | None, Option(help="Target CRS; EPSG:5070 gives LANDFIRE's grid. Default: the source's CRS.")
     ] = None,
     format_: Annotated[
         Format,
-        typer.Option(
+        Option(
             "--format",
             help="auto: by the suffix of --out. classes: label map. For fire models: lcp, landscape (GeoTIFF of "
             "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. Images: png (classes, "
@@ -73,20 +81,17 @@ def export(
         ),
     ] = Format.auto,
     system: Annotated[
-        Codes | None, typer.Option(help="Fuel models of a landscape (.tif then holds one). Default: fbfm40.")
+        Codes | None, Option(help="Fuel models of a landscape (.tif then holds one). Default: fbfm40.")
     ] = None,
     as_of: Annotated[
-        str | None, typer.Option("--as-of", help="Store only: export the map at this date or time (UTC).")
+        str | None, Option("--as-of", help="Store only: export the map at this date or time (UTC).")
     ] = None,
     since: Annotated[
-        str | None, typer.Option("--since", help="For change: the earlier date. Default: the prior map.")
+        str | None, Option("--since", help="For change: the earlier date. Default: the prior map.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a fuel map, optionally in another CRS (nearest cell, edges at 15 mod 30), or an updated terrain."""
-    from ltm_core.fuel.export.companion_files_io import remove_item, style_owner
-    from ltm_ros.fuel_map.export import export_site, sidecars
-
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
     if source.suffix == ".sqlite":
@@ -113,8 +118,6 @@ def export(
             raise ConfigError(
                 f"{kind} needs the terrain and the prior fuel map of a site: give the site file with --site"
             )
-        from ltm_core.site.site_io import load_site
-        from ltm_ros.fuel_map.source import FuelSource
 
         with FuelSource.open(source, load_site(site)) as map_:
             geometry, notes = export_site(map_, out, crs, kind.value, (system or Codes.fbfm40).value, as_of, since)
@@ -148,10 +151,6 @@ def _export_terrain(
     source: Path, out: Path, site: Path | None, kind: Format, unfit: Sequence[str | None], overwrite: bool
 ) -> GridGeometry:
     """Write a terrain. `unfit`: given options that do not apply to a terrain."""
-    from ltm_core.pipeline.site_surface import open_stored_surface
-    from ltm_core.site.site_io import load_site
-    from ltm_core.surface.surface_io import BANDS, write_export
-
     if site is None:
         raise ConfigError(f"{source} holds differences from its site's terrain: give the site file with --site")
     if any(unfit):
@@ -170,14 +169,6 @@ def _export_terrain(
 
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
-    from ltm_core.fuel.class_map import read_fuel_map, resampled, write_fuel_map
-    from ltm_core.fuel.export.companion_files_io import write_palette_style
-    from ltm_core.fuel.export.provenance import software
-    from ltm_core.fuel.life_form import life_form_labels
-    from ltm_core.site.site_io import load_site
-    from ltm_core.vision.labels import LabelSet
-    from ltm_ros.fuel_map.source import FuelSource
-
     labels, tags = LabelSet.load(), {}
     if source.suffix.lower() in (".tif", ".tiff") and as_of is None:
         classes, geometry = read_fuel_map(source)
@@ -193,8 +184,6 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
                 classes, geometry, labels = layers.life_form, map_.geometry, map_.labels
                 tags = map_.provenance(layers, None, as_of).tags()
         else:
-            from ltm_ros.recordings.recorded_run import last_fuel_map
-
             classes, geometry, labels = last_fuel_map(source, loaded)
     if crs is not None:
         classes, geometry = resampled(classes, geometry, crs)
@@ -206,41 +195,32 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
 
 def fire(
     landscape: Annotated[
-        Path, typer.Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands).")
+        Path, Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands).")
     ],
-    ignition: Annotated[str, typer.Option("--ignition", help="Ignition point x,y in the landscape's CRS.")],
-    wind: Annotated[str, typer.Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],
+    ignition: Annotated[str, Option("--ignition", help="Ignition point x,y in the landscape's CRS.")],
+    wind: Annotated[str, Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],
     moisture: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Fuel moisture: Scott and Burgan scenario (D2L2), or five values in %: dead 1 h, 10 h, 100 h, "
             "live herbaceous, live woody (6,7,8,60,90)."
         ),
     ] = None,
-    hours: Annotated[float, typer.Option(help="Duration of the fire in hours.")] = 6.0,
-    site: Annotated[Path | None, typer.Option("--site", help="Site file of a store.")] = None,
-    before: Annotated[
-        Path | None, typer.Option("--before", help="For a landscape file: the earlier landscape.")
-    ] = None,
+    hours: Annotated[float, Option(help="Duration of the fire in hours.")] = 6.0,
+    site: Annotated[Path | None, Option("--site", help="Site file of a store.")] = None,
+    before: Annotated[Path | None, Option("--before", help="For a landscape file: the earlier landscape.")] = None,
     since: Annotated[
-        str | None, typer.Option("--since", help="For a store: date of the earlier map. Default: the prior map.")
+        str | None, Option("--since", help="For a store: date of the earlier map. Default: the prior map.")
     ] = None,
     ignition_crs: Annotated[
-        str | None, typer.Option("--ignition-crs", help="CRS of --ignition, such as EPSG:4326 for degrees.")
+        str | None, Option("--ignition-crs", help="CRS of --ignition, such as EPSG:4326 for degrees.")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report, images, GeoTIFF and KMZ.")] = Path(
-        "out/fire"
-    ),
+    out: Annotated[Path, Option("--out", "-o", help="Folder for report, images, GeoTIFF and KMZ.")] = Path("out/fire"),
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate a fire on the prior and on the updated map, and show the difference. This is no forecast."""
-    from rich.console import Console
+    from ltm_ros.fuel_map.fire import FILES, NO_FORECAST, open_pair, run_fires, sentences, write_results  # jinja2
 
-    from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
-    from ltm_core.fire.pyretechnics import interpreter
-    from ltm_ros.fuel_map.fire import FILES, NO_FORECAST, open_pair, run_fires, sentences, write_results
-
-    console = Console()
     blowing, wet = Wind.parse(wind), Moisture.parse(moisture)
     require_files([out / name for name in FILES], overwrite)
     interpreter()
@@ -248,7 +228,7 @@ def fire(
     row, col = ignition_cell(ignition, ignition_crs, pair.after)
     ignition_cell(ignition, ignition_crs, pair.before)
     scenario = FireScenario(row, col, blowing, wet, hours)
-    with console.status("") as status:
+    with working("") as status:
         result = run_fires(pair, scenario, status.update)
     write_results(out, pair, scenario, result)
     rows = []
@@ -257,8 +237,8 @@ def fire(
         rows.append((f"{area.hours:g}", number(area.before), number(area.after), change))
     title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
     columns = (">hours", ">before", ">after", ">difference")
-    print_table(console, title, columns, rows)
+    print_table(title, columns, rows)
     for sentence in [*sentences(pair, result), NO_FORECAST]:
-        console.print(sentence, highlight=False)
+        say(sentence)
     slowest = f"{max(result.seconds):.1f} s for the slowest of {len(result.seconds)} fires"
-    console.print(f"wrote {out / FILES[0]}; {slowest}", highlight=False)
+    say(f"wrote {out / FILES[0]}; {slowest}")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.storage.disk_io import require_folder
@@ -19,20 +20,20 @@ if TYPE_CHECKING:
 
 
 def view(
-    site: Annotated[Path | None, typer.Option("--site", help="Site file of the running graph to show.")] = None,
+    site: Annotated[Path | None, Option("--site", help="Site file of the running graph to show.")] = None,
     connect: Annotated[
         str | None,
-        typer.Option("--connect", help="Tower to show: [USER@]HOST[:PORT] through SSH, or https://HOST[:PORT]."),
+        Option("--connect", help="Tower to show: [USER@]HOST[:PORT] through SSH, or https://HOST[:PORT]."),
     ] = None,
-    token: Annotated[Path | None, typer.Option("--token", help="With --connect: file with the tower's token.")] = None,
+    token: Annotated[Path | None, Option("--token", help="With --connect: file with the tower's token.")] = None,
     certificate: Annotated[
-        Path | None, typer.Option("--certificate", help="With --connect: the tower's certificate (PEM).")
+        Path | None, Option("--certificate", help="With --connect: the tower's certificate (PEM).")
     ] = None,
-    rrd: Annotated[Path | None, typer.Option("--rrd", help="Rerun recording to open instead.")] = None,
-    save: Annotated[Path | None, typer.Option("--save", help="Also write the view to this .rrd file.")] = None,
-    open_browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
-    web_port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the page.")] = 9090,
-    grpc_port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the data.")] = 9876,
+    rrd: Annotated[Path | None, Option("--rrd", help="Rerun recording to open instead.")] = None,
+    save: Annotated[Path | None, Option("--save", help="Also write the view to this .rrd file.")] = None,
+    open_browser: Annotated[bool, Option("--browser/--no-browser", help="Open the page.")] = True,
+    web_port: Annotated[int, Option(min=1, max=65535, help="TCP port of the page.")] = 9090,
+    grpc_port: Annotated[int, Option(min=1, max=65535, help="TCP port of the data.")] = 9876,
 ) -> None:
     """Show a running graph or a recording in Rerun, or the status page of a tower elsewhere.
 
