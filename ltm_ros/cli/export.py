@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from typer import Argument, Option
@@ -29,35 +28,18 @@ from ltm_ros.fuel_map.export import export_site, sidecars
 from ltm_ros.fuel_map.source import FuelSource
 from ltm_ros.recordings.recorded_run import last_fuel_map
 
+Format = Literal[
+    "auto", "classes", "lcp", "landscape", "elmfire", "layers", "png", "change", "surface", "kmz"
+]  # fmt: skip
+Codes = Literal["fbfm40", "fbfm13"]
 
-class Format(StrEnum):
-    """Format to write."""
-
-    auto = "auto"
-    classes = "classes"
-    lcp = "lcp"
-    landscape = "landscape"
-    elmfire = "elmfire"
-    layers = "layers"
-    png = "png"
-    change = "change"
-    surface = "surface"
-    kmz = "kmz"
-
-
-class Codes(StrEnum):
-    """Set of surface fuel models."""
-
-    fbfm40 = "fbfm40"
-    fbfm13 = "fbfm13"
-
-
-_TIFF = (Format.classes, Format.landscape)
-_BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,)}
-_BY_SUFFIX |= {".png": (Format.png, Format.change)}
+_TIFF: tuple[Format, ...] = ("classes", "landscape")
+_BY_SUFFIX: dict[str, tuple[Format, ...]] = {
+    ".tif": _TIFF, ".tiff": _TIFF, ".lcp": ("lcp",), ".kmz": ("kmz",), ".png": ("png", "change")
+}  # fmt: skip
 """Formats of a suffix; the first one is written if none is requested."""
-_OF_MODELS = (Format.landscape, Format.lcp, Format.elmfire)
-_FOLDERS = (Format.elmfire, Format.layers)
+_OF_MODELS = ("landscape", "lcp", "elmfire")
+_FOLDERS: tuple[Format, ...] = ("elmfire", "layers")
 
 
 def export(
@@ -79,7 +61,7 @@ def export(
             "confidence, cameras), change (before and after), kmz (for globe programs). Terrain as GeoTIFF: change "
             "(shift, sigma, kind, since), surface (height, sigma).",
         ),
-    ] = Format.auto,
+    ] = "auto",
     system: Annotated[
         Codes | None, Option(help="Fuel models of a landscape (.tif then holds one). Default: fbfm40.")
     ] = None,
@@ -98,7 +80,7 @@ def export(
         geometry = _export_terrain(source, out, site, format_, [crs, as_of, since, system], overwrite)
         _echo_written(out, format_, geometry)
         return
-    if format_ is Format.surface:
+    if format_ == "surface":
         raise ConfigError(f"{source} is not a terrain store: surface needs a terrain.sqlite")
     kind = _kind_of(out, format_, system)
     if kind in _FOLDERS:
@@ -107,10 +89,10 @@ def export(
             raise ConfigError(f"{out}: contains files already; give another folder, or --overwrite")
     else:
         require_files([out], overwrite)
-    if since is not None and kind is not Format.change:
+    if since is not None and kind != "change":
         raise ConfigError("--since is the earlier date of a change image: give --format change")
-    require_files(sidecars(out, kind.value), overwrite)
-    if kind is Format.classes:
+    require_files(sidecars(out, kind), overwrite)
+    if kind == "classes":
         geometry = _export_classes(source, out, site, crs, as_of)
         remove_item(out)
     else:
@@ -118,13 +100,12 @@ def export(
             raise ConfigError(
                 f"{kind} needs the terrain and the prior fuel map of a site: give the site file with --site"
             )
-
         with FuelSource.open(source, load_site(site)) as map_:
-            geometry, notes = export_site(map_, out, crs, kind.value, (system or Codes.fbfm40).value, as_of, since)
+            geometry, notes = export_site(map_, out, crs, kind, system or "fbfm40", as_of, since)
         for note in notes:
             typer.echo(note)
     _echo_written(out, kind, geometry)
-    if kind is Format.classes and format_ is Format.auto:
+    if kind == "classes" and format_ == "auto":
         typer.echo(f"{out} has one band of life forms; for a fire model, give --format landscape")
     if owner := style_owner(out):
         typer.echo(f"{out.with_suffix('.qml')} is the style of {owner} and was kept; QGIS shows {out.name} with it")
@@ -133,11 +114,11 @@ def export(
 def _kind_of(out: Path, requested: Format, system: Codes | None) -> Format:
     """Return the format to write. Raises ConfigError for a suffix of another format, and `--system` without use."""
     usual = _BY_SUFFIX.get(out.suffix.lower(), ())
-    if requested is Format.auto and not usual:
+    if requested == "auto" and not usual:
         raise ConfigError(f"{out}: its suffix belongs to no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
-    if usual and requested not in (Format.auto, *usual, *_FOLDERS):
+    if usual and requested not in ("auto", *usual, *_FOLDERS):
         raise ConfigError(f"{out}: {out.suffix} is not written as {requested}; use {' or '.join(usual)}, or rename it")
-    kind = requested if requested is not Format.auto else usual[0] if system is None else usual[-1]
+    kind = requested if requested != "auto" else usual[0] if system is None else usual[-1]
     if system is not None and kind not in _OF_MODELS:
         raise ConfigError(f"{out}: --system {system} applies to landscapes only; give --format {', '.join(_OF_MODELS)}")
     return kind
@@ -157,7 +138,7 @@ def _export_terrain(
         raise ConfigError(
             "a terrain is exported in its current state and CRS, without fuel: remove --crs, --as-of, --since, --system"
         )
-    what = next((name for name in BANDS if name == kind.value), None)
+    what = next((name for name in BANDS if name == kind), None)
     if what is None or out.suffix.lower() not in (".tif", ".tiff"):
         raise ConfigError(f"{out}: a terrain is written as GeoTIFF (.tif); give --format change or --format surface")
     require_files([out], overwrite)

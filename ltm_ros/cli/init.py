@@ -6,7 +6,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,12 +14,11 @@ from typing import Annotated, Literal
 import typer
 from pyproj import Geod
 from rich.markup import escape
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 from typer import Option
 
 from ltm_core.base.errors import ConfigError
 from ltm_ros.cli.check import report
-from ltm_ros.cli.output import print_table, say, warn, working
+from ltm_ros.cli.output import numbers, print_table, progress_bar, say, warn, working
 from ltm_ros.site_setup.camera_list import CameraValues, parse_camera, read_cameras
 from ltm_ros.site_setup.site_plan import SitePlan, Wish, carry_out, plan_site
 from ltm_ros.site_setup.source import Source
@@ -71,8 +70,8 @@ def init(
         return
     if plan.expected_bytes > _ASK_FROM and not yes:
         typer.confirm(f"Fetch {plan.expected_bytes / 1e6:.0f} MB?", abort=True)
-    with _ended_by_signals(), _bars() as progress:
-        layers, said = carry_out(plan, progress)
+    with _ended_by_signals(), progress_bar("fetching, MB") as progress:
+        layers, said = carry_out(plan, lambda _, done, total: progress(done // 1_000_000, total // 1_000_000 + 1))
     for key, layer in layers.items():
         say(f"{key}: {layer.path} ({layer.described})")
     for remark in dict.fromkeys([*plan.remarks, *remarks, *said]):
@@ -98,10 +97,7 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _lonlat(text: str) -> tuple[float, float]:
-    try:
-        lon, lat = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigError(f"--lonlat {text}: give two numbers separated by a comma, LON,LAT") from None
+    lon, lat = numbers(text, "--lonlat", (2,))
     if not (-180 <= lon <= 180 and -84 <= lat <= 84):
         raise ConfigError(f"--lonlat {text}: give longitude in [-180, 180], then latitude in [-84, 84]")
     return lon, lat
@@ -134,43 +130,21 @@ def _cameras(
 
 
 def _print_sources(sources: list[Source]) -> None:
-    rows = [
-        (
-            s.name,
-            ", ".join(s.kinds),
-            f"{s.resolution_m:g} m",
-            s.vertical_crs or "",
-            escape(s.licence),
-            escape(s.address),
-        )
-        for s in sources
-    ]
+    rows = []
+    for s in sources:
+        cells = f"{s.resolution_m:g} m"
+        rows.append((s.name, ", ".join(s.kinds), cells, s.vertical_crs or "", escape(s.licence), escape(s.address)))
     print_table("sources, preferred ones first", ("name", "delivers", "cells", "heights", "licence", "address"), rows)
 
 
 def _print_plan(plan: SitePlan) -> None:
     rows = []
     for step in plan.steps:
-        source = step.source
-        size = "" if source is None else f"{step.expected_bytes / 1e6:.1f} MB"
-        what = ", ".join(str(path) for path in step.own) if source is None else source.name
-        year = "" if step.plan is None or step.plan.year is None else str(step.plan.year)
-        cells = "" if source is None else f"{source.resolution_m:g} m"
-        rows.append((step.key, escape(what), cells, year, size, "" if source is None else escape(source.licence)))
+        if step.source is None or step.plan is None:
+            rows.append((step.key, escape(", ".join(map(str, step.own))), "", "", "", ""))
+        else:
+            source, year, size = step.source, step.plan.year, f"{step.plan.expected_bytes / 1e6:.1f} MB"
+            cells = f"{source.resolution_m:g} m"
+            rows.append((step.key, source.name, cells, "" if year is None else str(year), size, escape(source.licence)))
     total = f"{plan.crs}; {plan.expected_bytes / 1e6:.1f} MB to fetch"
     print_table(total, ("raster", "source", ">cells", ">year", ">size", "licence"), rows)
-
-
-@contextmanager
-def _bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress bar for each raster; yields `update(key, done, total)` in bytes."""
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(*columns, transient=True) as bar:
-        tasks: dict[str, int] = {}
-
-        def update(key: str, done: int, total: int) -> None:
-            if key not in tasks:
-                tasks[key] = bar.add_task(key)
-            bar.update(tasks[key], completed=done, total=total)  # type: ignore[arg-type]
-
-        yield update

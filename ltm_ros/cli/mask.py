@@ -8,13 +8,13 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from pydantic import ValidationError
 from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.pictures import to_png
 from ltm_core.pictures.photo_overlays import mask_picture
 from ltm_core.site.site_io import load_site
+from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import require_files, require_folder
 from ltm_core.vision.areas import NamedArea, polygons_of, read_areas, write_areas
 from ltm_core.vision.labels import LabelSet
@@ -23,7 +23,7 @@ from ltm_core.vision.mask_config import ViewMask
 from ltm_core.vision.mask_proposals import MOST_FRAMES, Proposal, drawn_proposals, propose_mask
 from ltm_core.vision.masks import write_mask
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.cli.output import Overwrite, print_table, say
+from ltm_ros.cli.output import Overwrite, numbers, print_table, say
 from ltm_ros.labelling.server import LabelServer, LabelSession, serve
 from ltm_ros.recordings.recorded_run import folder_pictures, recorded_pictures
 
@@ -99,20 +99,16 @@ def mask(
         areas = [area for area in read_areas(drawn) if area.image in names]
         proposals += drawn_proposals(areas, LabelSet.load().names, frames[0].shape[:2])
     kept = _kept(keep, len(proposals))
-    rows = (
-        (str(number), proposal.kind, f"{proposal.hidden.mean():.2%}", proposal.reason, "yes" if keeps else "no")
-        for number, (proposal, keeps) in enumerate(zip(proposals, kept, strict=True), start=1)
-    )
-    title = f"{len(frames)} images of one camera"
-    print_table(title, (">number", "what", ">share", "why", "kept"), rows)
+    numbered = list(zip(range(1, len(proposals) + 1), proposals, kept, strict=True))
+    rows = ((str(n), p.kind, f"{p.hidden.mean():.2%}", p.reason, "yes" if keeps else "no") for n, p, keeps in numbered)
+    print_table(f"{len(frames)} images of one camera", (">number", "what", ">share", "why", "kept"), rows)
     target.parent.mkdir(parents=True, exist_ok=True)
     beside[1].write_bytes(to_png(mask_picture(frames[0], [p.hidden for p in proposals], kept)))
     say(f"check {beside[1]}")
-    chosen = [(n, p) for n, (p, k) in enumerate(zip(proposals, kept, strict=True), start=1) if k]
+    chosen = [(n, p) for n, p, keeps in numbered if keeps]
     if not chosen:
         say("nothing to mask" if keep or not proposals else "nothing is kept")
         return
-
     hidden = np.logical_or.reduce([proposal.hidden for _, proposal in chosen])
     write_mask(target, hidden)
     write_areas(beside[0], _areas(names[0], chosen))
@@ -129,27 +125,17 @@ def _view(name: str, looking: str) -> ViewMask | None:
         raise ConfigError("give --view and --looking together: the name and the viewing direction of a view")
     if not name:
         return None
-    parts = dict(zip(("azimuth_deg", "pitch_deg", "hfov_deg"), looking.split(","), strict=False))
-    try:
-        if looking.count(",") > 2:
-            raise ValueError("too many numbers")
-        return ViewMask.model_validate({"name": name, **{k: float(v) for k, v in parts.items()}, "mask": "-"})
-    except (ValueError, ValidationError) as error:
-        raise ConfigError(
-            f"--looking {looking}: expected AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees, such as 271.5,-4"
-        ) from error
+    parts = numbers(looking, "--looking AZIMUTH,PITCH[,HFOV]", (2, 3))
+    stated = dict(zip(("azimuth_deg", "pitch_deg", "hfov_deg"), parts, strict=False))
+    return checked(ViewMask, {"name": name, **stated, "mask": "-"}, f"--looking {looking}")
 
 
 def _line(mask: str, view: ViewMask | None) -> str:
     """Return the lines for the site file, below the camera."""
     if view is None:
         return f"    mask: {mask}"
-    stated = view.model_dump(exclude={"mask"}, exclude_defaults=True)
-    return (
-        "    view_masks:\n      - {"
-        + ", ".join(f"{key}: {value}" for key, value in stated.items())
-        + f", mask: {mask}}}"
-    )
+    stated = view.model_dump(exclude={"mask"}, exclude_defaults=True) | {"mask": mask}
+    return "    view_masks:\n      - {" + ", ".join(f"{key}: {value}" for key, value in stated.items()) + "}"
 
 
 def _kept(keep: str, count: int) -> list[bool]:

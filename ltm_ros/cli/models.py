@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -36,19 +35,11 @@ _SHOWN = 12
 """Maximum number of unlabelled classes that are printed."""
 
 
-class Action(StrEnum):
-    """Action of `ltm models`."""
-
-    list = "list"
-    check = "check"
-    add = "add"
-    measure = "measure"
-
-
 def models(
     action: Annotated[
-        Action, Argument(help="list: all manifests; check: run one; add: install one; measure: its errors.")
-    ] = Action.list,
+        Literal["list", "check", "add", "measure"],
+        Argument(help="list: all manifests; check: run one; add: install one; measure: its errors."),
+    ] = "list",
     name: Annotated[
         str | None, Argument(help="Model name or manifest; with add: ONNX file, folder, manifest or recipe.")
     ] = None,
@@ -70,14 +61,14 @@ def models(
     like: Annotated[str, Option(help="Recipe whose properties the file has (add).")] = "",
 ) -> None:
     """List the networks, check one (shapes, time, images), install one, or measure its label errors."""
-    if action is Action.list:
+    if action == "list":
         _list()
         return
-    if action is Action.measure:
+    if action == "measure":
         _measure(name or DEFAULT_MODEL, site, recordings or [], photos)
         return
     require_folder(out)
-    if action is Action.check:
+    if action == "check":
         _check(NetworkManifest.find(name or DEFAULT_MODEL), images, out, classes)
         return
     if name is None:

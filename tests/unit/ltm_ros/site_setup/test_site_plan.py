@@ -59,10 +59,9 @@ class Maker:
         self.error: BaseException | None = None
         self.areas: list[Area] = []
 
-    def covers(self, area: Area) -> str:
-        return self.reason
-
     def plan(self, area: Area) -> Plan:
+        if self.reason:
+            raise NoCoverageError(self.reason)
         self.areas.append(area)
         return Plan(area, (Part("http://127.0.0.1/a.tif", "a.tif", 1000),), (), self.year)
 
