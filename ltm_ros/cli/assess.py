@@ -24,7 +24,7 @@ assess.command()(learn)
 @assess.command()
 def plan(
     map_: Annotated[
-        Path, Argument(metavar="MAP", help="Fuel map store (.ltm), folder with one, bag, or GeoTIFF of classes.")
+        Path, Argument(metavar="MAP", help="Fuel map: store (.ltm), its folder, bag, or GeoTIFF of classes.")
     ],
     site: Annotated[Path, Option(help="Site file.")],
     out: Annotated[Path, Option("--out", "-o", help="Folder for the plan.")],
@@ -50,14 +50,11 @@ def report(
     plan_: Annotated[Path, Argument(metavar="PLAN", help="Folder of the plan, written by `ltm assess plan`.")],
     out: Annotated[Path, Option("--out", "-o", help="File of the report; figures go to .json beside it.")],
     recordings: Annotated[
-        list[Path] | None, Option(help="Recording, or folder of recordings. Repeatable.", metavar="FOLDER")
+        list[Path] | None, Option(help="Recording, or folder of some. Repeatable.", metavar="FOLDER")
     ] = None,
-    plots: Annotated[
-        Path | None, Option(help="File of field plots: CSV or GeoPackage with lon, lat, life_form, date.")
-    ] = None,
+    plots: Annotated[Path | None, Option(help="Field plots: CSV or GeoPackage with lon, lat, life_form, date.")] = None,
     map_: Annotated[
-        Path | None,
-        Option("--map", help="Another map of the site, such as one after `learn`. Default: the plan's."),
+        Path | None, Option("--map", help="Another map, as one after `learn`. Default: the plan's.")
     ] = None,
 ) -> None:
     """Write accuracies and areas with 95 % intervals, maps and errors to one HTML page and a JSON file."""

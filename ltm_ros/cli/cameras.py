@@ -52,7 +52,7 @@ def probe(
     password_file: Annotated[Path | None, Option(help="File that holds only the password.")] = None,
     ca: Annotated[Path | None, Option(help="CA certificates (PEM) for https. Default: the system's.")] = None,
     check_name: Annotated[
-        bool, Option("--check-name/--any-name", help="Check that the certificate is for this host.")
+        bool, Option("--check-name/--any-name", help="Check that the certificate is the host's.")
     ] = True,
     site: Annotated[Path | None, Option(help="With --camera: add or complete it in this site file.")] = None,
     camera: Annotated[str, Option(help="Name of the camera in the site file.")] = "",
@@ -62,7 +62,7 @@ def probe(
     pitch: Annotated[float, Option(help="Pitch in degrees above the horizon (fixed cameras only).")] = 0.0,
     hfov: Annotated[float | None, Option(help="Horizontal field of view in degrees.")] = None,
     replace: Annotated[
-        bool, Option("--replace", help="Overwrite sections that the camera has in the site file.")
+        bool, Option("--replace", help="Overwrite sections that the site file has of the camera.")
     ] = False,
     timeout: Annotated[float, Option(min=0.1, max=60, help="Timeout of each request in seconds.")] = 5.0,
 ) -> None:

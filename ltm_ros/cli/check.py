@@ -34,9 +34,7 @@ _STYLES = {SiteVerdict.OK: "green", SiteVerdict.DOUBTFUL: "yellow", SiteVerdict.
 
 def check(
     site: Annotated[Path, Argument(help="Site file (YAML).")],
-    out: Annotated[
-        Path | None, Option("--out", "-o", help="PNG to draw: terrain, views, covered ground, prior fuel map.")
-    ] = None,
+    out: Annotated[Path | None, Option("--out", "-o", help="PNG of terrain, views, seen ground and prior map.")] = None,
     bag: Annotated[Path | None, Option(help="Recording with the views of cameras whose poses are topics.")] = None,
     only: OnlyCameras = None,
     overwrite: Overwrite = False,

@@ -43,34 +43,23 @@ _FOLDERS: tuple[Format, ...] = ("elmfire", "layers")
 
 
 def export(
-    source: Annotated[
-        Path,
-        Argument(help="Fuel map store (.ltm), terrain store (.sqlite), bag with fuel_map topic, or fuel map GeoTIFF."),
-    ],
+    source: Annotated[Path, Argument(help="Fuel map (store .ltm, bag or GeoTIFF), or terrain store (.sqlite).")],
     out: Annotated[Path, Option("--out", "-o", help="Output file, or folder for elmfire and layers.")],
-    site: Annotated[Path | None, Option("--site", help="Site file; required except for a GeoTIFF of classes.")] = None,
-    crs: Annotated[
-        str | None, Option(help="Target CRS; EPSG:5070 gives LANDFIRE's grid. Default: the source's CRS.")
-    ] = None,
+    site: Annotated[Path | None, Option(help="Site file; required except for a GeoTIFF of classes.")] = None,
+    crs: Annotated[str | None, Option(help="Target CRS; EPSG:5070: LANDFIRE's grid. Default: the source's.")] = None,
     format_: Annotated[
         Format,
         Option(
             "--format",
-            help="auto: by the suffix of --out. classes: label map. For fire models: lcp, landscape (GeoTIFF of "
-            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. Images: png (classes, "
-            "confidence, cameras), change (before and after), kmz (for globe programs). Terrain as GeoTIFF: change "
-            "(shift, sigma, kind, since), surface (height, sigma).",
+            help="Default: by the suffix of --out. classes: GeoTIFF of labels; lcp, landscape, elmfire: fire models; "
+            "layers: folder of GeoTIFFs; png, change, kmz: images; a terrain store is written as change or surface.",
         ),
     ] = "auto",
     system: Annotated[
-        Codes | None, Option(help="Fuel models of a landscape (.tif then holds one). Default: fbfm40.")
+        Codes | None, Option(help="Fuel models of a landscape (.tif is one then). Default: fbfm40.")
     ] = None,
-    as_of: Annotated[
-        str | None, Option("--as-of", help="Store only: export the map at this date or time (UTC).")
-    ] = None,
-    since: Annotated[
-        str | None, Option("--since", help="For change: the earlier date. Default: the prior map.")
-    ] = None,
+    as_of: Annotated[str | None, Option(help="Store only: date or time (UTC) of the map.")] = None,
+    since: Annotated[str | None, Option(help="For change: earlier date. Default: the prior map.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a fuel map, optionally in another CRS (nearest cell, edges at 15 mod 30), or an updated terrain."""
@@ -175,27 +164,20 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
 
 
 def fire(
-    landscape: Annotated[
-        Path, Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands).")
-    ],
-    ignition: Annotated[str, Option("--ignition", help="Ignition point x,y in the landscape's CRS.")],
+    landscape: Annotated[Path, Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF).")],
+    ignition: Annotated[str, Option(help="Ignition point x,y in the landscape's CRS.")],
     wind: Annotated[str, Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],
     moisture: Annotated[
         str | None,
         Option(
-            help="Fuel moisture: Scott and Burgan scenario (D2L2), or five values in %: dead 1 h, 10 h, 100 h, "
-            "live herbaceous, live woody (6,7,8,60,90)."
+            help="Fuel moisture: scenario (D2L2), or % of dead 1 h, 10 h, 100 h, live herbaceous, woody (6,7,8,60,90)."
         ),
     ] = None,
     hours: Annotated[float, Option(help="Duration of the fire in hours.")] = 6.0,
-    site: Annotated[Path | None, Option("--site", help="Site file of a store.")] = None,
-    before: Annotated[Path | None, Option("--before", help="For a landscape file: the earlier landscape.")] = None,
-    since: Annotated[
-        str | None, Option("--since", help="For a store: date of the earlier map. Default: the prior map.")
-    ] = None,
-    ignition_crs: Annotated[
-        str | None, Option("--ignition-crs", help="CRS of --ignition, such as EPSG:4326 for degrees.")
-    ] = None,
+    site: Annotated[Path | None, Option(help="Site file of a store.")] = None,
+    before: Annotated[Path | None, Option(help="For a landscape file: the earlier landscape.")] = None,
+    since: Annotated[str | None, Option(help="For a store: date of the earlier map. Default: the prior.")] = None,
+    ignition_crs: Annotated[str | None, Option(help="CRS of --ignition; EPSG:4326: degrees.")] = None,
     out: Annotated[Path, Option("--out", "-o", help="Folder for report, images, GeoTIFF and KMZ.")] = Path("out/fire"),
     overwrite: Overwrite = False,
 ) -> None:

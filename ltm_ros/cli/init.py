@@ -34,19 +34,16 @@ def init(
     name: Annotated[str, Option(help="Name of the site: a-z, 0-9 and _.")] = "",
     radius: Annotated[str, Option(help="Half width of the fine DEM, such as 8km or 500m.")] = "8km",
     camera: Annotated[
-        list[str] | None,
-        Option(help="NAME=LON,LAT,height=20,azimuth=214,hfov=54,photos=FOLDER. Azimuth: true north. Repeatable."),
+        list[str] | None, Option(help="NAME=LON,LAT,height=20,azimuth=214,hfov=54; azimuth: true north.")
     ] = None,
     cameras: Annotated[Path | None, Option(help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")] = None,
     crs: Annotated[str | None, Option(help="Projected CRS. Default: that of --dem, or the UTM zone.")] = None,
     dem: Annotated[list[Path] | None, Option(help="Own DEM: file or folder of tiles, any CRS. Repeatable.")] = None,
     fuel: Annotated[Path | None, Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,
     surface: Annotated[Path | None, Option(help="Own raster of tree tops and roofs, or of canopy height.")] = None,
-    sources: Annotated[
-        str | None, Option(help="File with other data sources (YAML), or `list` to print all sources.")
-    ] = None,
+    sources: Annotated[str | None, Option(help="File with other data sources (YAML), or `list` to print them.")] = None,
     update: Annotated[
-        Literal["dem", "coarser", "surface", "fuel"] | None, Option(help="Raster of an existing site to replace.")
+        Literal["dem", "coarser", "surface", "fuel"] | None, Option(help="Raster of a site to replace.")
     ] = None,
     dry_run: Annotated[bool, Option("--dry-run", help="Print what would be fetched, and stop.")] = False,
     yes: Annotated[bool, Option("--yes", "-y", help="Fetch more than 500 MB without asking.")] = False,

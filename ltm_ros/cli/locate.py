@@ -41,26 +41,23 @@ PLACE_FILES = ("places.json", "places.png")
 def locate(
     site: Annotated[Path | None, Option(help="Site file with terrain and cameras with poses.")] = None,
     pose: Annotated[
-        list[str] | None,
-        Option(metavar="[CAMERA=]FILE", help="Pose file of a camera: NAME=FILE, or FILE with --dem. Repeatable."),
+        list[str] | None, Option(metavar="[CAMERA=]FILE", help="Pose file: NAME=FILE, or FILE with --dem. Repeatable.")
     ] = None,
     dem: OptionalDems = None,
     mark: Annotated[
         list[str] | None,
         Option(
             metavar="[CAMERA=]U,V,...",
-            help="Mark: a pixel, a box u_min,v_min,u_max,v_max, or a polygon; lower edges count. Repeatable.",
+            help="Pixel, box u_min,v_min,u_max,v_max or polygon (its lower edge). Repeatable.",
         ),
     ] = None,
     smoke: Annotated[
-        bool, Option("--smoke", help="The mark is the lowest visible smoke; its base may be behind a ridge.")
+        bool, Option("--smoke", help="The mark is the lowest visible smoke, maybe above a ridge.")
     ] = False,
-    place: Annotated[
-        str | None, Option(help="Reverse query: x,y in the site's CRS, or x,y,height above ground.")
-    ] = None,
+    place: Annotated[str | None, Option(help="Reverse query: x,y[,height above ground] in the site's CRS.")] = None,
     lonlat: Annotated[str | None, Option(help="Like --place, in degrees: lon,lat.")] = None,
     photo: Annotated[
-        str | None, Option(metavar="[CAMERA=]FILE", help="Image of the camera to draw places over; needs --out.")
+        str | None, Option(metavar="[CAMERA=]FILE", help="Image to draw places over; needs --out.")
     ] = None,
     as_json: Annotated[bool, Option("--json", help="Print JSON instead of tables.")] = False,
     out: Annotated[Path | None, Option(help="Folder for image, JSON, GeoJSON and the posterior.")] = None,

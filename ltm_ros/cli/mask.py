@@ -30,9 +30,7 @@ from ltm_ros.recordings.recorded_run import folder_pictures, recorded_pictures
 
 def label(
     folder: Annotated[Path, Argument(help="Folder of photos; receives polygons.json and NAME_labels.png.")],
-    model: Annotated[
-        str, Option(help="Segmentation network that proposes labels, or none. Default: the shipped one.")
-    ] = "",
+    model: Annotated[str, Option(help="Network that proposes labels, or none. Default: the shipped one.")] = "",
     port: Annotated[int, Option(min=0, max=65535, help="Local TCP port; 0: a free one.")] = 0,
     browser: Annotated[bool, Option(help="Open the page in a browser.")] = True,
 ) -> None:
@@ -49,25 +47,16 @@ def label(
 def mask(
     pictures: Annotated[Path, Argument(help="Folder of one camera's images, or a recording (with --site).")],
     out: Annotated[
-        Path | None,
-        Option("--out", "-o", help="PNG to write. Default: CAMERA_mask.png beside the site file, or mask.png."),
+        Path | None, Option("--out", "-o", help="PNG to write. Default: CAMERA_mask.png at the site file.")
     ] = None,
     site: Annotated[Path | None, Option(help="Site file of the camera.")] = None,
     camera: Annotated[str, Option(help="Name of the camera in the site file.")] = "",
-    only: Annotated[
-        str, Option(metavar="PATTERN", help="For a folder: pattern of image names, such as 'west_2018*'.")
-    ] = "*",
+    only: Annotated[str, Option(metavar="PATTERN", help="Pattern of image names in a folder, as 'west_2018*'.")] = "*",
     keep: Annotated[str, Option(help="Numbers of the correct proposals, such as 1,3; or all, or none.")] = "",
-    drawn: Annotated[
-        Path | None, Option(help="polygons.json of `ltm label`; its areas of class masked are proposed, too.")
-    ] = None,
+    drawn: Annotated[Path | None, Option(help="polygons.json of `ltm label`: also propose its masked areas.")] = None,
     view: Annotated[str, Option(help="PTZ camera: name of the view of these images (with --looking).")] = "",
     looking: Annotated[
-        str,
-        Option(
-            help="Viewing direction of that view: AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees; of a "
-            "recording, only images with this direction are used."
-        ),
+        str, Option(help="Its direction: AZIMUTH,PITCH[,HFOV] in degrees; others of a recording are ignored.")
     ] = "",
     overwrite: Overwrite = False,
 ) -> None:

@@ -40,24 +40,16 @@ def models(
         Literal["list", "check", "add", "measure"],
         Argument(help="list: all manifests; check: run one; add: install one; measure: its errors."),
     ] = "list",
-    name: Annotated[
-        str | None, Argument(help="Model name or manifest; with add: ONNX file, folder, manifest or recipe.")
-    ] = None,
-    recordings: Annotated[
-        list[Path] | None, Argument(help="Recordings of the site from before any change (measure).")
-    ] = None,
+    name: Annotated[str | None, Argument(help="Model name or manifest; add: ONNX file, folder or recipe.")] = None,
+    recordings: Annotated[list[Path] | None, Argument(help="Recordings from before any change (measure).")] = None,
     site: Annotated[Path | None, Option(help="Site file with a prior fuel map (measure).")] = None,
     photos: Annotated[Path | None, Option(help="Folder of labelled photos (measure).")] = None,
     images: Annotated[Path | None, Option(help="Photo or folder of photos to run on (check, add).")] = None,
-    classes: Annotated[
-        str | None, Option(help='Prompts for a network of text: "dry grass, chaparral, oak" (check).')
-    ] = None,
+    classes: Annotated[str | None, Option(help='Prompts of a text network: "dry grass, chaparral" (check).')] = None,
     out: Annotated[Path, Option(help="Folder for images (check, add).")] = Path("out/models"),
     fetch: Annotated[bool, Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
     named: Annotated[str, Option("--name", help="Name of the model; default: that of its file (add).")] = "",
-    stated: Annotated[
-        list[str] | None, Option("--set", help="Key of the manifest, as output.kind=metric; repeatable (add).")
-    ] = None,
+    stated: Annotated[list[str] | None, Option("--set", help="Key of the manifest: output.kind=metric (add).")] = None,
     like: Annotated[str, Option(help="Recipe whose properties the file has (add).")] = "",
 ) -> None:
     """List the networks, check one (shapes, time, images), install one, or measure its label errors."""

@@ -45,8 +45,7 @@ def import_poses(
     photos: Annotated[Path | None, Option(help="Folder of the photos; with --dem, tests axes and units.")] = None,
     crs: Annotated[str | None, Option(help="CRS of the poses, if neither file nor DEM states it.")] = None,
     focal: Annotated[
-        str | None,
-        Option(metavar="LENGTH", help="Focal length: 1484px, 24/36 (mm/sensor width), or 0.9 of the longer side."),
+        str | None, Option(metavar="LENGTH", help="1484px, 24/36 (mm/sensor width), or share of the longer side.")
     ] = None,
     size: Annotated[str | None, Option(metavar="WxH", help="Image size. Default: that of the photos.")] = None,
     transform: Annotated[Path | None, Option(metavar="FILE", help="Similarity from COLMAP's model to the map.")] = None,

@@ -48,18 +48,16 @@ def mount(
     site: Annotated[Path, Argument(metavar="SITE", help="Site file, in which the mount is calibrated.")],
     camera: Annotated[str, Argument(metavar="CAMERA", help="PTZ camera of the site.")],
     gcps: Annotated[
-        Path | None, Option("--points", metavar="FILE", help="CSV of landmarks: id, x, y, z, u, v, pan, tilt, zoom.")
+        Path | None, Option("--points", metavar="FILE", help="CSV: id, x, y, z, u, v, pan, tilt, zoom.")
     ] = None,
     photos: Annotated[
-        Path | None, Option(metavar="FOLDER", help="Photos of several presets, with their readings.csv.")
+        Path | None, Option(metavar="FOLDER", help="Photos of several presets, and readings.csv.")
     ] = None,
-    free: Annotated[
-        str, Option(metavar="NAMES", help="With --points, also fit focal, lens (focal and k1), position.")
-    ] = "focal",
+    free: Annotated[str, Option(metavar="NAMES", help="Also fit focal, lens (focal and k1), position.")] = "focal",
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
     out: Annotated[
-        Path | None, Option("--out", "-o", metavar="FILE", help="File for the mount, instead of the site file.")
+        Path | None, Option("--out", "-o", metavar="FILE", help="File for the mount; default: SITE.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:

@@ -78,28 +78,16 @@ def photo(
     photo: Annotated[Path, Argument(metavar="PHOTO", help="Photo, or with a photo list a folder of photos.")],
     guess: Annotated[Path, Option(metavar="FILE", help="Pose file, or photo list (CSV), with what is known.")],
     dem: Dems,
-    out: Annotated[
-        Path, Option("--out", "-o", metavar="FILE", help="Pose file to write; with a photo list, a folder.")
-    ],
-    mount: Annotated[
-        bool, Option("--mount", help="All photos are of one fixed camera or PTZ head: find one correction.")
-    ] = False,
+    out: Annotated[Path, Option("--out", "-o", metavar="FILE", help="Pose file; with a photo list, a folder.")],
+    mount: Annotated[bool, Option("--mount", help="Find one correction of all photos of a camera.")] = False,
     free: Annotated[
-        str, Option(metavar="NAMES", help="Also fit focal, position, lens, lens:phone (ptz, action, slr).")
+        str, Option(metavar="NAMES", help="Fit focal, position, lens, lens:phone|ptz|action|slr.")
     ] = "none",
-    labels: Annotated[
-        Path | None, Option(metavar="FILE", help="PNG of class ids, replaces the segmentation network.")
-    ] = None,
-    mask: Annotated[
-        Path | None, Option(metavar="FILE", help="Mask PNG (`ltm mask`); non-zero pixels are ignored.")
-    ] = None,
+    labels: Annotated[Path | None, Option(metavar="FILE", help="PNG of class ids in place of the network.")] = None,
+    mask: Annotated[Path | None, Option(metavar="FILE", help="Mask (`ltm mask`); ignores non-zero pixels.")] = None,
     model: Annotated[str, Option(metavar="NAME", help="Segmentation network. Default: the shipped one.")] = "",
-    canopy: Annotated[
-        bool, Option("--canopy", help="The DEM includes tree tops (a surface model, not bare earth).")
-    ] = False,
-    picture: Annotated[
-        Path | None, Option(metavar="FILE", help="PNG of terrain lines over the photo, before and after.")
-    ] = None,
+    canopy: Annotated[bool, Option("--canopy", help="The DEM includes tree tops (a surface model).")] = False,
+    picture: Annotated[Path | None, Option(metavar="FILE", help="PNG of terrain lines, before and after.")] = None,
     report: Annotated[Path | None, Option(metavar="FILE", help="JSON with residuals, verdict and covariance.")] = None,
     crs: Crs = None,
     overwrite: Overwrite = False,

@@ -39,18 +39,13 @@ SigmaPx = Annotated[float, Option(metavar="PIXELS", help="Smallest standard devi
 
 
 def points(
-    control_points: Annotated[
-        Path, Argument(metavar="POINTS", help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")
-    ],
+    control_points: Annotated[Path, Argument(metavar="POINTS", help="CSV: id, x, y, z (or lon, lat, z), u, v.")],
     guess: Annotated[Path, Option(metavar="FILE", help="Pose file with what is known: position and camera.")],
     out: Annotated[Path, Option("--out", "-o", metavar="FILE", help="Pose file to write, for `ltm trace`.")],
     dem: OptionalDems = None,
     free: Annotated[
         str | None,
-        Option(
-            metavar="NAMES",
-            help="Also fit focal, k1, k2, k3, centre, position, lens, lens:phone (ptz, action, slr), or none.",
-        ),
+        Option(metavar="NAMES", help="Fit focal, k1, k2, k3, centre, position, lens[:phone|ptz|action|slr], none."),
     ] = None,
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,

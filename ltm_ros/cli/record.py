@@ -35,27 +35,21 @@ from ltm_ros.runtime.health import node_rows
 
 
 def record(
-    site: Annotated[Path, Option("--site", help="Site file.")],
+    site: Annotated[Path, Option(help="Site file.")],
     out: Annotated[Path, Option("--out", "-o", help="Bag folder to write.")],
     topics: Annotated[
-        list[str] | None,
-        Argument(help="Topics or patterns such as '/site/*/depth/*'. Default: the site's inputs and results."),
+        list[str] | None, Argument(help="Topics or patterns, as '/site/*/depth/*'. Default: all.")
     ] = None,
     max_gb: Annotated[
         float | None,
         Option(
             min=0,
-            help="Maximum GB of all recordings of this name; oldest files go first (0: unlimited). Default: the "
-            "site file's value, else 16 GB or half of the disk.",
+            help="Maximum GB of recordings of this name; 0: unlimited. Default: site file, 16 GB or half the disk.",
         ),
     ] = None,
     min_free_gb: Annotated[
         float | None,
-        Option(
-            min=0,
-            help="Stop recording below this free space in GB. Default: the site file's value, else 2 GB or a "
-            "tenth of the disk.",
-        ),
+        Option(min=0, help="Free GB below which recording stops. Default: site file, 2 GB or a tenth of the disk."),
     ] = None,
     sim_time: Annotated[bool, Option("--sim-time", help="Use /clock for stamps, as during a replay.")] = False,
     domain: Domain = None,
@@ -77,30 +71,21 @@ def record(
 
 def replay(
     bag: Annotated[Path, Argument(help="Bag folder, or .mcap, .mcap.zstd or .db3 file.")],
-    site: Annotated[
-        Path | None, Option("--site", help="Site file. Default: the site.yaml in or beside the bag.")
-    ] = None,
+    site: Annotated[Path | None, Option(help="Site file. Default: site.yaml in or beside the bag.")] = None,
     out: Annotated[Path, Option("--out", "-o", help="Folder for the results.")] = Path("out/replay"),
     remap: Annotated[
-        list[str] | None,
-        Option(metavar="RECORDED:=NAME", help="Read a recorded topic under another name; repeatable."),
+        list[str] | None, Option(metavar="RECORDED:=NAME", help="Read a topic as another. Repeatable.")
     ] = None,
-    offline: Annotated[
-        bool, Option("--offline", help="Replay in one process without DDS, at full speed, bit-repeatable.")
-    ] = False,
+    offline: Annotated[bool, Option("--offline", help="Replay in one process, fast and bit-repeatable.")] = False,
     rate: Annotated[float, Option(help="Live: playback rate; 2 is twice as fast.")] = 1.0,
-    longest_pause: Annotated[
-        float, Option(help="Live: skip recorded pauses longer than this, in seconds. inf: never.")
-    ] = LONGEST_PAUSE,
+    longest_pause: Annotated[float, Option(help="Live: skip longer pauses, in seconds. inf: never.")] = LONGEST_PAUSE,
     loop: Annotated[bool, Option("--loop", help="Live: repeat until Ctrl-C.")] = False,
     start: Annotated[float, Option(min=0, help="Start, in seconds into the recording.")] = 0.0,
     duration: Annotated[float | None, Option(min=0, help="Duration to play, in seconds.")] = None,
     record: Annotated[bool, Option("--record", help="Also write a bag of the results.")] = False,
     rrd: Annotated[bool, Option("--rrd", help="Live: also write a Rerun recording.")] = False,
     domain: Domain = None,
-    publish_only: Annotated[
-        bool, Option("--publish-only", help="Live: publish to a running graph (with sim time).")
-    ] = False,
+    publish_only: Annotated[bool, Option("--publish-only", help="Live: publish to a graph with sim time.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
@@ -162,34 +147,20 @@ def _names(remap: list[str]) -> dict[str, str]:
 def import_(
     images: Annotated[list[Path], Argument(metavar="PHOTOS...", help="Photo, folder, or Sensor Logger recording.")],
     out: Annotated[Path, Option("--out", help="Bag folder to write.")],
-    poses: Annotated[
-        Path | None,
-        Option(
-            "--poses",
-            help="CSV (name, x y z or lon lat, azimuth_deg, fx, ...), or a folder of pose files. Overrides EXIF.",
-        ),
-    ] = None,
-    site: Annotated[Path | None, Option("--site", help="Site file: map frame, DEM, camera names.")] = None,
-    camera: Annotated[str | None, Option("--camera", help="Camera that took the photos.")] = None,
-    pitch_deg: Annotated[
-        float | None, Option(help="Pitch in degrees of photos without one. Default: reject them.")
-    ] = None,
+    poses: Annotated[Path | None, Option("--poses", help="CSV, or folder of pose files; they override EXIF.")] = None,
+    site: Annotated[Path | None, Option(help="Site file: map frame, DEM, camera names.")] = None,
+    camera: Annotated[str | None, Option(help="Camera that took the photos.")] = None,
+    pitch_deg: Annotated[float | None, Option(help="Pitch in degrees if unknown. Default: rejected.")] = None,
     height_above_ground: Annotated[float, Option(min=0, help="Height in metres of photos without one.")] = 2.0,
     start_height: Annotated[
-        float | None, Option(help="Height (DEM datum, metres) at a barometer's start. Default: the terrain's.")
+        float | None, Option(help="Height in metres at a barometer's start. Default: ground.")
     ] = None,
     geoid_undulation_m: Annotated[
-        float | None,
-        Option(help="Geoid height above ellipsoid in metres, for ellipsoidal altitudes (then also EXIF's)."),
+        float | None, Option(help="Geoid above ellipsoid in metres, for GPS altitudes.")
     ] = None,
-    focal_35mm: Annotated[
-        float | None,
-        Option("--focal-35mm", min=1, help="Focal length of photos without one, in mm (35 mm equivalent)."),
-    ] = None,
+    focal_35mm: Annotated[float | None, Option(min=1, help="Focal length in mm (35 mm) if unknown.")] = None,
     time_zone: Annotated[str | None, Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")] = None,
-    refine: Annotated[
-        bool, Option("--refine", help="Find the pose of each photo by the terrain's skyline; needs --site.")
-    ] = False,
+    refine: Annotated[bool, Option("--refine", help="Find poses by the terrain's skyline; needs --site.")] = False,
     skip_bad: Annotated[bool, Option("--skip-bad", help="Skip photos that cannot be imported.")] = False,
 ) -> None:
     """Make a bag from photos and phone recordings: image_raw/compressed, camera_info, pose with covariance."""

@@ -19,7 +19,7 @@ from ltm_ros.fuel_map.layers import when
 
 def reprocess(
     archives: Annotated[list[Path], Argument(help="Bags, .mcap files, and folders with bags.")],
-    site: Annotated[Path, Option("--site", help="Site file.")],
+    site: Annotated[Path, Option(help="Site file.")],
     out: Annotated[Path, Option("--out", "-o", help="Folder for results.")],
     workers: Annotated[int, Option(min=0, help="Number of worker processes; 0: this one.")] = 2,
     cameras: Annotated[str, Option(help="Only these cameras, separated by commas.")] = "",

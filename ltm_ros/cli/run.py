@@ -57,19 +57,12 @@ def certs(
 def run(
     site: Annotated[Path, Argument(help="Site file (YAML).")],
     domain: Domain = None,
-    record: Annotated[
-        Path | None,
-        Option(help="Also record the graph's topics to this new folder; long recordings keep the newest files."),
-    ] = None,
+    record: Annotated[Path | None, Option(help="New folder to record to; the newest files are kept.")] = None,
     view: Annotated[bool, Option("--view", help="Also serve a live view on this machine.")] = False,
     sim_time: Annotated[bool, Option("--sim-time", help="Use /clock, as published by `ltm replay`.")] = False,
     only: OnlyCameras = None,
     state: Annotated[
-        Path | None,
-        Option(
-            help="Folder, created if missing, that keeps fuel map, terrain and outbox across restarts. Default: "
-            "the site file's, else nothing is kept."
-        ),
+        Path | None, Option(help="Folder that keeps fuel map, terrain and outbox. Default: the site file's, else none.")
     ] = None,
 ) -> None:
     """Run a site: start its nodes, restart those that die or hang; Ctrl-C or SIGTERM stops them in order.

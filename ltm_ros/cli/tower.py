@@ -98,9 +98,7 @@ def _seconds(value: float | None, end: str = "") -> str:
 
 def doctor(
     json: Annotated[bool, Option("--json", help="Print the findings as JSON.")] = False,
-    site: Annotated[
-        Path | None, Option(help="Site file, to check its port. Default: /etc/ltm/site.yaml, if present.")
-    ] = None,
+    site: Annotated[Path | None, Option(help="Site file, to check its port. Default: /etc/ltm/site.yaml.")] = None,
 ) -> None:
     """Check the installation. Exit code 1 if something required is missing."""
     from ltm_ros.tower.doctor import as_json, examine, healthy, summed_up
@@ -135,8 +133,7 @@ the tower should be down for three minutes at most, and going back to the previo
 def upgrade(
     package: Annotated[Path, Argument(help="Debian package of a release (`make deb`).")],
     ready_minutes: Annotated[
-        float,
-        Option(min=0.1, help="Minutes in which all nodes must be ready; else the previous release returns."),
+        float, Option(min=0.1, help="Minutes for the start; then the previous release returns.")
     ] = READY_MINUTES,
 ) -> None:
     """Install another release of LTM; if it does not start, the previous one returns. Needs root.
@@ -161,9 +158,7 @@ def upgrade(
 
 def rollback(
     to: Annotated[str, Option(help="Version to return to. Default: the previous one.")] = "",
-    unconfirmed: Annotated[
-        bool, Option("--unconfirmed", help="Only if an upgrade was interrupted; the service's start uses it.")
-    ] = False,
+    unconfirmed: Annotated[bool, Option("--unconfirmed", help="Only after an interrupted upgrade.")] = False,
     ready_minutes: Annotated[float, Option(min=0.1, help="Minutes in which it must be ready.")] = READY_MINUTES,
 ) -> None:
     """Return to the previous release of LTM. Needs root."""

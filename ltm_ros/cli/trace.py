@@ -98,20 +98,14 @@ def trace(
 
 
 def viewshed(
-    out: Annotated[
-        Path, Option("--out", "-o", help="GeoTIFF: number of cameras per cell, best footprint, visible height.")
-    ],
+    out: Annotated[Path, Option("--out", "-o", help="GeoTIFF: number of cameras, best footprint, visible height.")],
     site: Annotated[Path | None, Option(help="Site file; uses all cameras with calibration and pose.")] = None,
     pose: Annotated[Path | None, Option(help="Pose file of one camera instead of a site; needs --dem.")] = None,
     dem: OptionalDems = None,
-    resolution: Annotated[
-        float | None, Option(help="Cell size in metres. Default: the DEM's, coarser beyond 16 million cells.")
-    ] = None,
+    resolution: Annotated[float | None, Option(help="Cell size in metres. Default: the DEM's, or coarser.")] = None,
     target_height: Annotated[float, Option(help="Height of the target above the ground in metres.")] = 0.0,
     max_range: Annotated[float | None, Option(help="Maximum viewing distance in metres.")] = None,
-    all_round: Annotated[
-        bool, Option("--all-round", help="Cameras can turn: ignore their viewing directions.")
-    ] = False,
+    all_round: Annotated[bool, Option("--all-round", help="Cameras turn: ignore their viewing directions.")] = False,
     picture: Annotated[Path | None, Option(help="PNG to draw. Default: beside the GeoTIFF.")] = None,
     crs: Crs = None,
     overwrite: Overwrite = False,

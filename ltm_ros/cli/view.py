@@ -28,17 +28,12 @@ _START_S = 60.0
 
 
 def view(
-    site: Annotated[Path | None, Option("--site", help="Site file of the running graph to show.")] = None,
-    connect: Annotated[
-        str | None,
-        Option("--connect", help="Tower to show: [USER@]HOST[:PORT] through SSH, or https://HOST[:PORT]."),
-    ] = None,
-    token: Annotated[Path | None, Option("--token", help="With --connect: file with the tower's token.")] = None,
-    certificate: Annotated[
-        Path | None, Option("--certificate", help="With --connect: the tower's certificate (PEM).")
-    ] = None,
-    rrd: Annotated[Path | None, Option("--rrd", help="Rerun recording to open instead.")] = None,
-    save: Annotated[Path | None, Option("--save", help="Also write the view to this .rrd file.")] = None,
+    site: Annotated[Path | None, Option(help="Site file of the running graph to show.")] = None,
+    connect: Annotated[str | None, Option(help="Tower: [USER@]HOST[:PORT] (SSH), or https://HOST[:PORT].")] = None,
+    token: Annotated[Path | None, Option(help="With --connect: file with the tower's token.")] = None,
+    certificate: Annotated[Path | None, Option(help="With --connect: its certificate (PEM).")] = None,
+    rrd: Annotated[Path | None, Option(help="Rerun recording to open instead.")] = None,
+    save: Annotated[Path | None, Option(help="Also write the view to this .rrd file.")] = None,
     open_browser: Annotated[bool, Option("--browser/--no-browser", help="Open the page.")] = True,
     web_port: Annotated[int, Option(min=1, max=65535, help="TCP port of the page.")] = 9090,
     grpc_port: Annotated[int, Option(min=1, max=65535, help="TCP port of the data.")] = 9876,

@@ -255,17 +255,6 @@ def test_an_area_without_a_source_names_the_reason_of_each(
     assert all(source.name in str(error.value) for source in elevation)
 
 
-def test_too_large_an_area_gives_the_message_of_the_service(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keyed(monkeypatch)
-    area = Area((-119.0, 30.0, -114.0, 35.0))
-    listed = sources(services, tmp_path, opentopography_cop30={"resolution_m": 90.0})
-    source = choose(Kind.COARSE_ELEVATION, area, only("opentopography_cop30", listed))
-    with pytest.raises(FetchError, match="450,000 km2"):
-        source.fetch(source.plan(area), tmp_path / "out")
-
-
 @pytest.mark.parametrize(
     ("place", "elevation", "fuel"),
     [
