@@ -40,8 +40,7 @@ class FuelConfig(StrictModel):
     resolution: float = Field(30.0, gt=0)
     """Cell size in metres; LANDFIRE uses 30."""
     phase: float = 15.0
-    """Offset of the cell edges in metres: edges lie at `phase` modulo `resolution` in the site's CRS (LANDFIRE: 15
-    modulo 30)."""
+    """Offset of the cell edges in metres, modulo `resolution` in the site's CRS (LANDFIRE: 15 modulo 30)."""
     max_range: Expert[float] = Field(6000.0, gt=0)
     """Range in metres beyond which a pixel does not vote, because its footprint is too coarse."""
     growth: GrowthLimits = GrowthLimits()
@@ -105,8 +104,7 @@ class TopicsConfig(StrictModel):
 
 class CameraConfig(StrictModel):
     image: Literal["auto", "compressed", "raw"] = "auto"
-    """Image topic: `compressed` is `image_raw/compressed` (JPEG or PNG), `raw` is `image_raw`; `auto` takes what there
-    is."""
+    """Image topic: `compressed`: `image_raw/compressed` (JPEG or PNG); `raw`: `image_raw`; `auto`: what there is."""
     topics: TopicsConfig = TopicsConfig()
     """Names of the camera's input topics, if they are not `/<site>/<camera>/...`."""
     calibration: CalibrationConfig | None = None
@@ -116,11 +114,9 @@ class CameraConfig(StrictModel):
     sensors: SensorsConfig | None = None
     """Sensors that give the pose instead of the pose topic: the topics `fix` (NavSatFix) and `imu` (Imu)."""
     mask: MaskConfig | None = None
-    """Parts of the image that never show the landscape: a PNG in the site file's folder, or polygons (see `ltm mask`).
-    None: no mask."""
+    """Parts of the image that never show the landscape: a PNG beside the site file, or polygons (`ltm mask`)."""
     view_masks: Written[tuple[ViewMask, ...]] = Field((), max_length=MOST_VIEW_MASKS)
-    """Additional masks of a turning camera, each for one viewing direction. An image that matches none of them has only
-    `mask`."""
+    """Additional masks of a turning camera, each for one viewing direction; other images have only `mask`."""
     label_head: str = SHIPPED_LABEL_HEAD
     """Label head of the segmentation network for this camera: `landscape` is the network's own; others are trained
     (`ltm train head`). Give a name, or a path relative to the site's folder of label heads."""
@@ -202,8 +198,7 @@ class HealthConfig(StrictModel):
     key: Path | None = None
     """Path of the private key (PEM). A systemd credential with the file's name takes precedence."""
     token: Path | None = None
-    """File with the token that clients must send (`Authorization: Bearer ...`). A systemd credential with the file's
-    name takes precedence."""
+    """File with the token of clients (`Authorization: Bearer`). A systemd credential of its name takes precedence."""
     frame_age: Expert[float] = Field(120.0, gt=0)
     """Age of the newest frame in seconds above which a camera is not ready."""
 

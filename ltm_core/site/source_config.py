@@ -77,11 +77,9 @@ class SourceSettings(StrictModel):
     night: Expert[Literal["hold", "publish"]] = "hold"
     """What to do with images that are too dark, or that have no colour (infrared): `hold` or `publish`."""
     stalled_after: Expert[float | None] = Field(None, gt=0)
-    """Seconds without a usable image after which the camera is reported as stalled; None: three times `every`, at least
-    30."""
+    """Seconds without a usable image until the camera counts as stalled; None: three times `every`, at least 30."""
     stuck_after: Expert[float | None] = Field(None, gt=0)
-    """Seconds with the same image after which the camera is reported as stuck; None: six times `every`, at least 120.
-    """
+    """Seconds with the same image until the camera counts as stuck; None: six times `every`, at least 120."""
 
     @property
     def period(self) -> float:
@@ -103,8 +101,7 @@ class NetworkSettings(SourceSettings, LoginSettings):
     url: str
     """Address of the image or stream, without user and password."""
     timeout: Expert[float] = Field(10.0, gt=0, le=60)
-    """Timeout in seconds for the connection and for each part of a response. A whole image may take three times as
-    long."""
+    """Timeout in seconds for the connection and each part of a response; a whole image may take three times that."""
 
 
 class HttpSettings(NetworkSettings, HttpLogin):
@@ -194,8 +191,7 @@ class FolderConfig(SourceSettings):
     zone: Expert[str] = "UTC"
     """Time zone of file names, and of EXIF times without a zone."""
     oldest: Written[float] = Field(600.0, gt=0)
-    """Maximum age in seconds of a file when it is first found; older files are ignored (use a replay for recordings).
-    """
+    """Maximum age in seconds of a file when it is first found; older files are ignored."""
     complete_within: Expert[float] = Field(60.0, gt=0)
     """Maximum time in seconds for a file to be complete."""
     upload: Expert[float] = Field(10.0, ge=0)
@@ -263,8 +259,7 @@ class PatrolConfig(StrictModel):
 
 
 class PtzSettings(HttpLogin):
-    """Settings of all kinds of PTZ heads. Missing values of url, user and password are those of the camera's
-    `source`."""
+    """Settings of all kinds of PTZ heads. Missing url, user and password are those of the camera's `source`."""
 
     url: Expert[str | None] = None
     """Address `http://HOST` or `https://HOST`, with the port."""

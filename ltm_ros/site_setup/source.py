@@ -60,8 +60,8 @@ class Source:
         self.resolution_m, self.vertical_crs, self.year = config.resolution_m, config.vertical_crs, config.year
         self.passed_over: tuple[str, ...] = ()
         """Preferred sources that were not used, each with its reason."""
-        self.next_source: Callable[[], Source] | None = None
-        """Chooses the next source, if this one was not asked for by its name."""
+        self.next_source: Callable[[str], Source] | None = None
+        """Chooses the next source, given the reason why this one has no data."""
         self._plans: dict[Area, Plan] = {}
 
     @property
@@ -109,10 +109,10 @@ class Source:
         it). Raises NoCoverageError, FetchError."""
         try:
             return self._fetch(plan, folder, progress)
-        except NoCoverageError:
+        except NoCoverageError as error:
             if self.next_source is None:
                 raise
-            other = self.next_source()
+            other = self.next_source(str(error))
             return other.fetch(other.plan(plan.area), folder, progress)
 
     def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from functools import partial
 from pathlib import Path
 
 from pydantic import Field
@@ -60,19 +59,22 @@ def choose(kind: Kind, area: Area, sources: Sequence[Source], passed_over: Seque
 
     `passed_over`: why others were not used before. Raises NoCoverageError with the reason of each source if none can be
     used."""
-    reasons = list(passed_over)
-    for number, source in enumerate(sources, start=1):
-        if kind not in source.kinds:
-            continue
+    reasons, rest = list(passed_over), [source for source in sources if kind in source.kinds]
+    while rest:
+        source = rest.pop(0)
         try:
             source.plan(area)
         except FetchError as error:
             reasons.append(f"{source.name} is not used: {error}")
-            continue
-        chosen = copy(source)  # the same source may serve another kind, with other reasons
-        chosen.passed_over = tuple(reasons)
-        empty = [*reasons, f"{source.name} is not used: every cell of the area is unknown"]
-        chosen.next_source = partial(choose, kind, area, sources[number:], empty)
-        return chosen
-    listed = "".join(f"\n  {reason}" for reason in reasons)
-    raise NoCoverageError(f"no source of {kind} for {area}; give your own file.{listed}")
+        else:
+            break
+    else:
+        listed = "".join(f"\n  {reason}" for reason in reasons)
+        raise NoCoverageError(f"no source of {kind} for {area}; give your own file.{listed}")
+
+    def following(reason: str) -> Source:
+        return choose(kind, area, rest, [*reasons, f"{source.name} is not used: {reason}"])
+
+    chosen = copy(source)  # the same source may serve another kind, with other reasons
+    chosen.passed_over, chosen.next_source = tuple(reasons), following
+    return chosen

