@@ -14,7 +14,6 @@ import typer
 from typer import Option
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.storage.disk_io import require_files, require_folder
 
 if TYPE_CHECKING:  # rich takes 0.2 s to load, which `ltm --help` does not need
     from rich.status import Status
@@ -25,22 +24,7 @@ if TYPE_CHECKING:  # rich takes 0.2 s to load, which `ltm --help` does not need
 Row = Sequence[str]
 
 
-def writable_file(path: Path | None) -> Path | None:
-    """Check an option that names a file, which may exist. Raises ConfigError."""
-    if path is not None:
-        require_files([path])
-    return path
-
-
-def writable_folder(path: Path | None) -> Path | None:
-    """Check an option that names a folder. Raises ConfigError."""
-    if path is not None:
-        require_folder(path)
-    return path
-
-
 Overwrite = Annotated[bool, Option("--overwrite", help="Overwrite existing files.")]
-JsonFile = Annotated[Path | None, Option("--json", help="Also write all figures to this file.", callback=writable_file)]
 Dems = Annotated[list[Path], Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")]
 OptionalDems = Annotated[
     list[Path] | None, Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")

@@ -5,19 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
-from ltm_ros.cli.output import JsonFile
+from ltm_lab.cli.options import JsonFile
 
 
 def assessment(
-    plan: Annotated[
-        Path | None, typer.Option(help="Folder of `ltm assess plan` for a rendered map; needs --truth.")
-    ] = None,
-    truth: Annotated[Path | None, typer.Option(help="GeoTIFF of the rendered map's true life forms.")] = None,
-    cells: Annotated[int, typer.Option(min=20, help="Sampled cells.")] = 300,
-    samples: Annotated[int, typer.Option(min=10, help="Number of samples.")] = 5000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of maps, interpreters and samples.")] = 1,
+    plan: Annotated[Path | None, Option(help="Folder of `ltm assess plan` for a rendered map; needs --truth.")] = None,
+    truth: Annotated[Path | None, Option(help="GeoTIFF of the rendered map's true life forms.")] = None,
+    cells: Annotated[int, Option(min=20, help="Sampled cells.")] = 300,
+    samples: Annotated[int, Option(min=10, help="Number of samples.")] = 5000,
+    seed: Annotated[int, Option(min=0, help="Seed of maps, interpreters and samples.")] = 1,
     json_path: JsonFile = None,
 ) -> None:
     """Draw samples of maps with known truth, with simulated interpreters, and count intervals that contain the truth.
