@@ -18,17 +18,7 @@ from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.visibility.viewshed import viewshed as covered
-from ltm_ros.cli.output import (
-    Crs,
-    Dems,
-    OptionalDems,
-    Overwrite,
-    open_dems,
-    print_table,
-    say,
-    warn,
-    working,
-)
+from ltm_ros.cli.output import Crs, Dems, OptionalDems, Overwrite, open_dems, print_table, say, warn, working
 from ltm_ros.cli.scene import open_scene
 
 OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.tif", "depth.png", "map.png")

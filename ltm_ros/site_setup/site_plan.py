@@ -26,15 +26,7 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import free_bytes, is_folder, is_there, require_folder
 from ltm_ros.site_setup.camera_list import CameraValues, check_cameras, section
-from ltm_ros.site_setup.layers import (
-    Layer,
-    elevation_tiles,
-    fine_tiles,
-    local,
-    write_dem,
-    write_fuel,
-    write_surface,
-)
+from ltm_ros.site_setup.layers import Layer, elevation_tiles, fine_tiles, local, write_dem, write_fuel, write_surface
 from ltm_ros.site_setup.rasters import Tile, tiles_of
 from ltm_ros.site_setup.request import Area, Kind, NoCoverageError, Plan
 from ltm_ros.site_setup.site_writer import change_site, free_name, site_text
