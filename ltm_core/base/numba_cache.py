@@ -105,6 +105,7 @@ def _copy(precompiled: Path, folder: Path) -> None:
     partial = Path(tempfile.mkdtemp(prefix=f"{folder.name}.", dir=folder.parent))
     try:
         shutil.copytree(precompiled, partial, dirs_exist_ok=True, copy_function=shutil.copyfile)
+        partial.chmod(0o700)  # not the release's mode
         partial.rename(folder)
     except OSError:
         shutil.rmtree(partial, ignore_errors=True)

@@ -288,6 +288,7 @@ class LandfireSource(WholeFileSource):
                 if len(members) != 1 or members[0].file_size > _MOST_EXPANDED:
                     raise FetchError(f"{self.name}: {len(members)} rasters in the archive, expected 1; try again later")
                 check_room(self.web.cache, members[0].file_size)
+                raster.unlink(missing_ok=True)  # it may be linked from a folder of results
                 raster.write_bytes(box.read(members[0]))
             with open_raster(raster, driver="GTiff") as source:
                 if source.count != part.url.count(";") + 1:
