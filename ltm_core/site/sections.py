@@ -134,55 +134,42 @@ class CameraConfig(StrictModel):
     vote. False: each image is judged alone, so that an archive and a replay give the same map."""
 
     @model_validator(mode="after")
-    def _one_pose(self) -> Self:
+    def _sections_agree(self) -> Self:
         given = [name for name in ("pose", "sensors", "mount") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(
                 f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a PTZ head (mount), "
                 "or has sensors for its pose (sensors)"
             )
-        if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
+        lens = None if self.mount is None else self.mount.lens
+        if lens is not None and self.calibration is not None:
             raise ValueError("give either calibration (fixed lens) or mount.lens (zoom), not both")
-        return self
-
-    @model_validator(mode="after")
-    def _views_turn(self) -> Self:
         if self.view_masks and self.pose is not None:
             raise ValueError("view_masks are for a camera that turns; for a camera with a pose write `mask`")
         names = [view.name for view in self.view_masks]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"view_masks: {', '.join(twice)} is repeated; give each view its own name")
-        return self
-
-    @model_validator(mode="after")
-    def _ptz_needs(self) -> Self:
-        if self.ptz is None:
-            return self
-        if self.mount is None:
-            raise ValueError("ptz needs mount, which converts the readings of the PTZ head to a pose")
-        if self.source is None:
-            raise ValueError("ptz needs source: the PTZ head is queried before and after each image")
-        if self.ptz.patrol is not None and not isinstance(self.source, SnapshotConfig):
-            raise ValueError(
-                f"a patrol needs a source of kind snapshot, which is read at each preset, not {self.source.kind}"
-            )
-        if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
-            raise ValueError(
-                f"a source of kind {self.source.kind} has no address: give the address of the PTZ head as ptz.url"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _source_needs(self) -> Self:
-        if self.source is None:
-            return self
-        if self.calibration is None and (self.mount is None or self.mount.lens is None):
-            raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
-        if self.topics != TopicsConfig():
-            raise ValueError("a camera with a source publishes on its own topics: leave topics out")
-        if self.image == "raw" and self.source.kind not in ("rtsp", "v4l2"):
-            raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
+        source = self.source
+        if self.ptz is not None:
+            if self.mount is None:
+                raise ValueError("ptz needs mount, which converts the readings of the PTZ head to a pose")
+            if source is None:
+                raise ValueError("ptz needs source: the PTZ head is queried before and after each image")
+            if self.ptz.patrol is not None and not isinstance(source, SnapshotConfig):
+                raise ValueError(
+                    f"a patrol needs a source of kind snapshot, which is read at each preset, not {source.kind}"
+                )
+            if self.ptz.url is None and not isinstance(source, NetworkSettings):
+                raise ValueError(
+                    f"a source of kind {source.kind} has no address: give the address of the PTZ head as ptz.url"
+                )
+        if source is not None:
+            if self.calibration is None and lens is None:
+                raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
+            if self.topics != TopicsConfig():
+                raise ValueError("a camera with a source publishes on its own topics: leave topics out")
+            if self.image == "raw" and source.kind not in ("rtsp", "v4l2"):
+                raise ValueError(f"a source of kind {source.kind} publishes the camera's JPEGs: leave image out")
         return self
 
 

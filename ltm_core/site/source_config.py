@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, PositiveInt, field_validator, model_validator
+from pydantic import AfterValidator, Field, PositiveInt, field_validator, model_validator
 
 from ltm_core.base.redaction import url_without_secrets
 from ltm_core.base.strict_model import Expert, StrictModel, Written
+
+HttpUrl = Annotated[str, AfterValidator(lambda url: url_without_secrets(url, ("http", "https")))]
 
 
 class SecretConfig(StrictModel):
@@ -217,7 +219,7 @@ class CameraListConfig(HttpSettings):
     kind: Literal["camera_list"]
     id: Written[str]
     """Identifier of the camera in the list."""
-    image: Written[str]
+    image: Written[HttpUrl]
     """URL of the image; `{id}` is replaced by the camera's identifier."""
     every: float = Field(30.0, gt=0)
     """Seconds between two requests of the list."""
@@ -233,11 +235,6 @@ class CameraListConfig(HttpSettings):
     """Key of the zoom."""
     oldest: Written[float] = Field(120.0, ge=0)
     """Maximum age of an image in seconds."""
-
-    @field_validator("image")
-    @classmethod
-    def _image(cls, url: str) -> str:
-        return url_without_secrets(url, ("http", "https"))
 
 
 SourceConfig = Annotated[
@@ -261,7 +258,7 @@ class PatrolConfig(StrictModel):
 class PtzSettings(HttpLogin):
     """Settings of all kinds of PTZ heads. Missing url, user and password are those of the camera's `source`."""
 
-    url: Expert[str | None] = None
+    url: Expert[HttpUrl | None] = None
     """Address `http://HOST` or `https://HOST`, with the port."""
     user: Expert[str | None] = None
     """User name for the PTZ head."""
@@ -273,11 +270,6 @@ class PtzSettings(HttpLogin):
     """Maximum difference in degrees between two readings of a PTZ head at rest; None: the usual value of the kind."""
     patrol: PatrolConfig | None = None
     """Tour of presets; None: the PTZ head is queried but never driven."""
-
-    @field_validator("url")
-    @classmethod
-    def _url(cls, url: str | None) -> str | None:
-        return None if url is None else url_without_secrets(url, ("http", "https"))
 
 
 class VapixConfig(PtzSettings):
