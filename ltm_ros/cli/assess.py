@@ -23,9 +23,7 @@ assess.command()(learn)
 
 @assess.command()
 def plan(
-    map_: Annotated[
-        Path, Argument(metavar="MAP", help="Fuel map: store (.ltm), its folder, bag, or GeoTIFF of classes.")
-    ],
+    map_: Annotated[Path, Argument(metavar="MAP", help="Fuel map: store (.ltm), its folder, bag, or GeoTIFF.")],
     site: Annotated[Path, Option(help="Site file.")],
     out: Annotated[Path, Option("--out", "-o", help="Folder for the plan.")],
     cells: Annotated[int, Option(min=20, max=5000, help="Number of sampled cells.")] = 300,
@@ -49,13 +47,9 @@ def plan(
 def report(
     plan_: Annotated[Path, Argument(metavar="PLAN", help="Folder of the plan, written by `ltm assess plan`.")],
     out: Annotated[Path, Option("--out", "-o", help="File of the report; figures go to .json beside it.")],
-    recordings: Annotated[
-        list[Path] | None, Option(help="Recording, or folder of some. Repeatable.", metavar="FOLDER")
-    ] = None,
+    recordings: Annotated[list[Path] | None, Option(help="Recording, or folder. Repeatable.", metavar="FOLDER")] = None,
     plots: Annotated[Path | None, Option(help="Field plots: CSV or GeoPackage with lon, lat, life_form, date.")] = None,
-    map_: Annotated[
-        Path | None, Option("--map", help="Another map, as one after `learn`. Default: the plan's.")
-    ] = None,
+    map_: Annotated[Path | None, Option("--map", help="Another map, such as after `learn`; default: PLAN's.")] = None,
 ) -> None:
     """Write accuracies and areas with 95 % intervals, maps and errors to one HTML page and a JSON file."""
     from ltm_ros.assessment.report import keep_accuracy, write_report  # they need the extra ltm[report]

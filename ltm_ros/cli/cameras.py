@@ -51,9 +51,7 @@ def probe(
     password_env: Annotated[str | None, Option(help="Environment variable that holds the password.")] = None,
     password_file: Annotated[Path | None, Option(help="File that holds only the password.")] = None,
     ca: Annotated[Path | None, Option(help="CA certificates (PEM) for https. Default: the system's.")] = None,
-    check_name: Annotated[
-        bool, Option("--check-name/--any-name", help="Check that the certificate is the host's.")
-    ] = True,
+    check_name: Annotated[bool, Option("--check-name/--any-name", help="Check the host of the certificate.")] = True,
     site: Annotated[Path | None, Option(help="With --camera: add or complete it in this site file.")] = None,
     camera: Annotated[str, Option(help="Name of the camera in the site file.")] = "",
     lonlat: Annotated[str | None, Option(help="Camera position LON,LAT in degrees (WGS 84).")] = None,
@@ -61,9 +59,7 @@ def probe(
     azimuth: Annotated[float | None, Option(help="Azimuth in degrees from grid north (PTZ: at pan 0).")] = None,
     pitch: Annotated[float, Option(help="Pitch in degrees above the horizon (fixed cameras only).")] = 0.0,
     hfov: Annotated[float | None, Option(help="Horizontal field of view in degrees.")] = None,
-    replace: Annotated[
-        bool, Option("--replace", help="Overwrite sections that the site file has of the camera.")
-    ] = False,
+    replace: Annotated[bool, Option("--replace", help="Overwrite sections that the camera has there.")] = False,
     timeout: Annotated[float, Option(min=0.1, max=60, help="Timeout of each request in seconds.")] = 5.0,
 ) -> None:
     """Probe a camera: protocol, image size, rate, clock and PTZ head; print its site-file entry."""

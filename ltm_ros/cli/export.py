@@ -55,9 +55,7 @@ def export(
             "layers: folder of GeoTIFFs; png, change, kmz: images; a terrain store is written as change or surface.",
         ),
     ] = "auto",
-    system: Annotated[
-        Codes | None, Option(help="Fuel models of a landscape (.tif is one then). Default: fbfm40.")
-    ] = None,
+    system: Annotated[Codes | None, Option(help="Fuel models of a landscape (also as .tif). Default: fbfm40.")] = None,
     as_of: Annotated[str | None, Option(help="Store only: date or time (UTC) of the map.")] = None,
     since: Annotated[str | None, Option(help="For change: earlier date. Default: the prior map.")] = None,
     overwrite: Overwrite = False,

@@ -42,9 +42,7 @@ def init(
     fuel: Annotated[Path | None, Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,
     surface: Annotated[Path | None, Option(help="Own raster of tree tops and roofs, or of canopy height.")] = None,
     sources: Annotated[str | None, Option(help="File with other data sources (YAML), or `list` to print them.")] = None,
-    update: Annotated[
-        Literal["dem", "coarser", "surface", "fuel"] | None, Option(help="Raster of a site to replace.")
-    ] = None,
+    update: Annotated[Literal["dem", "coarser", "surface", "fuel"] | None, Option(help="Raster to replace.")] = None,
     dry_run: Annotated[bool, Option("--dry-run", help="Print what would be fetched, and stop.")] = False,
     yes: Annotated[bool, Option("--yes", "-y", help="Fetch more than 500 MB without asking.")] = False,
 ) -> None:

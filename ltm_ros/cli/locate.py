@@ -51,14 +51,10 @@ def locate(
             help="Pixel, box u_min,v_min,u_max,v_max or polygon (its lower edge). Repeatable.",
         ),
     ] = None,
-    smoke: Annotated[
-        bool, Option("--smoke", help="The mark is the lowest visible smoke, maybe above a ridge.")
-    ] = False,
+    smoke: Annotated[bool, Option("--smoke", help="The mark is the lowest visible smoke, above a ridge.")] = False,
     place: Annotated[str | None, Option(help="Reverse query: x,y[,height above ground] in the site's CRS.")] = None,
     lonlat: Annotated[str | None, Option(help="Like --place, in degrees: lon,lat.")] = None,
-    photo: Annotated[
-        str | None, Option(metavar="[CAMERA=]FILE", help="Image to draw places over; needs --out.")
-    ] = None,
+    photo: Annotated[str | None, Option(metavar="[CAMERA=]FILE", help="Image to draw places on; needs --out.")] = None,
     as_json: Annotated[bool, Option("--json", help="Print JSON instead of tables.")] = False,
     out: Annotated[Path | None, Option(help="Folder for image, JSON, GeoJSON and the posterior.")] = None,
     crs: Crs = None,

@@ -46,9 +46,7 @@ def label(
 
 def mask(
     pictures: Annotated[Path, Argument(help="Folder of one camera's images, or a recording (with --site).")],
-    out: Annotated[
-        Path | None, Option("--out", "-o", help="PNG to write. Default: CAMERA_mask.png at the site file.")
-    ] = None,
+    out: Annotated[Path | None, Option("--out", "-o", help="PNG to write. Default: CAMERA_mask.png at SITE.")] = None,
     site: Annotated[Path | None, Option(help="Site file of the camera.")] = None,
     camera: Annotated[str, Option(help="Name of the camera in the site file.")] = "",
     only: Annotated[str, Option(metavar="PATTERN", help="Pattern of image names in a folder, as 'west_2018*'.")] = "*",

@@ -80,9 +80,7 @@ def photo(
     dem: Dems,
     out: Annotated[Path, Option("--out", "-o", metavar="FILE", help="Pose file; with a photo list, a folder.")],
     mount: Annotated[bool, Option("--mount", help="Find one correction of all photos of a camera.")] = False,
-    free: Annotated[
-        str, Option(metavar="NAMES", help="Fit focal, position, lens, lens:phone|ptz|action|slr.")
-    ] = "none",
+    free: Annotated[str, Option(metavar="NAMES", help="Fit focal, position, lens[:phone|ptz|action|slr].")] = "none",
     labels: Annotated[Path | None, Option(metavar="FILE", help="PNG of class ids in place of the network.")] = None,
     mask: Annotated[Path | None, Option(metavar="FILE", help="Mask (`ltm mask`); ignores non-zero pixels.")] = None,
     model: Annotated[str, Option(metavar="NAME", help="Segmentation network. Default: the shipped one.")] = "",

@@ -37,24 +37,15 @@ from ltm_ros.runtime.health import node_rows
 def record(
     site: Annotated[Path, Option(help="Site file.")],
     out: Annotated[Path, Option("--out", "-o", help="Bag folder to write.")],
-    topics: Annotated[
-        list[str] | None, Argument(help="Topics or patterns, as '/site/*/depth/*'. Default: all.")
-    ] = None,
-    max_gb: Annotated[
-        float | None,
-        Option(
-            min=0,
-            help="Maximum GB of recordings of this name; 0: unlimited. Default: site file, 16 GB or half the disk.",
-        ),
-    ] = None,
-    min_free_gb: Annotated[
-        float | None,
-        Option(min=0, help="Free GB below which recording stops. Default: site file, 2 GB or a tenth of the disk."),
-    ] = None,
+    topics: Annotated[list[str] | None, Argument(help="Topics or patterns; default: inputs and results.")] = None,
+    max_gb: Annotated[float | None, Option(min=0, help="Maximum GB of a name's recordings; 0: unlimited.")] = None,
+    min_free_gb: Annotated[float | None, Option(min=0, help="Free GB below which recording stops.")] = None,
     sim_time: Annotated[bool, Option("--sim-time", help="Use /clock for stamps, as during a replay.")] = False,
     domain: Domain = None,
 ) -> None:
-    """Record a site's topics to OUT until Ctrl-C. Long recordings keep the newest files (--max-gb)."""
+    """Record a site's topics to OUT until Ctrl-C. Long recordings keep the newest files (--max-gb).
+
+    Defaults: the site file's values, else at most 16 GB or half of the disk, and 2 GB or a tenth of it left free."""
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
     for name, gigabytes in (("max_bytes", max_gb), ("min_free_bytes", min_free_gb)):
         if gigabytes is not None:
@@ -73,9 +64,7 @@ def replay(
     bag: Annotated[Path, Argument(help="Bag folder, or .mcap, .mcap.zstd or .db3 file.")],
     site: Annotated[Path | None, Option(help="Site file. Default: site.yaml in or beside the bag.")] = None,
     out: Annotated[Path, Option("--out", "-o", help="Folder for the results.")] = Path("out/replay"),
-    remap: Annotated[
-        list[str] | None, Option(metavar="RECORDED:=NAME", help="Read a topic as another. Repeatable.")
-    ] = None,
+    remap: Annotated[list[str] | None, Option(metavar="RECORDED:=NAME", help="Read a topic as another one.")] = None,
     offline: Annotated[bool, Option("--offline", help="Replay in one process, fast and bit-repeatable.")] = False,
     rate: Annotated[float, Option(help="Live: playback rate; 2 is twice as fast.")] = 1.0,
     longest_pause: Annotated[float, Option(help="Live: skip longer pauses, in seconds. inf: never.")] = LONGEST_PAUSE,
@@ -152,12 +141,8 @@ def import_(
     camera: Annotated[str | None, Option(help="Camera that took the photos.")] = None,
     pitch_deg: Annotated[float | None, Option(help="Pitch in degrees if unknown. Default: rejected.")] = None,
     height_above_ground: Annotated[float, Option(min=0, help="Height in metres of photos without one.")] = 2.0,
-    start_height: Annotated[
-        float | None, Option(help="Height in metres at a barometer's start. Default: ground.")
-    ] = None,
-    geoid_undulation_m: Annotated[
-        float | None, Option(help="Geoid above ellipsoid in metres, for GPS altitudes.")
-    ] = None,
+    start_height: Annotated[float | None, Option(help="Height in metres at a barometer's start; else ground.")] = None,
+    geoid_undulation_m: Annotated[float | None, Option(help="Geoid above ellipsoid in metres (GPS altitudes).")] = None,
     focal_35mm: Annotated[float | None, Option(min=1, help="Focal length in mm (35 mm) if unknown.")] = None,
     time_zone: Annotated[str | None, Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")] = None,
     refine: Annotated[bool, Option("--refine", help="Find poses by the terrain's skyline; needs --site.")] = False,

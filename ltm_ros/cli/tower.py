@@ -133,7 +133,7 @@ the tower should be down for three minutes at most, and going back to the previo
 def upgrade(
     package: Annotated[Path, Argument(help="Debian package of a release (`make deb`).")],
     ready_minutes: Annotated[
-        float, Option(min=0.1, help="Minutes for the start; then the previous release returns.")
+        float, Option(min=0.1, help="Minutes to start; else back to the previous.")
     ] = READY_MINUTES,
 ) -> None:
     """Install another release of LTM; if it does not start, the previous one returns. Needs root.
