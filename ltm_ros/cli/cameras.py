@@ -145,8 +145,7 @@ def snapshot(
 
 
 def _frame(site: Site, name: str, tries: int) -> Frame:
-    """Return the first usable image of a camera. Raises ConfigError; SourceError with the reason why the last one was
-    rejected."""
+    """Return the first usable image of a camera. Raises ConfigError, and SourceError with the reason."""
     camera = site.camera(name)
     if camera.source is None:
         raise ConfigError(

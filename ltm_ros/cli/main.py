@@ -153,8 +153,7 @@ UNITS = ("degrees", "metres", "seconds", "minutes", "hours", "days", "GB", "mm",
 
 
 def metavar_of(name: str, text: str, is_path: bool) -> str:
-    """Return what help shows as the value of an option: by its name, by file, folder or unit in its help text, or else
-    its name."""
+    """Return what help shows as the value of an option: by its name, or by file, folder or unit in its help."""
     if named := next((metavar for metavar, names in METAVARS.items() if name in names.split()), None):
         return named
     if is_path:

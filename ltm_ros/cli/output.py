@@ -168,8 +168,7 @@ def print_nodes(rows: Sequence[NodeRow]) -> None:
 
 
 def print_outcome(summaries: Mapping[str, Mapping[str, str]]) -> None:
-    """Print the results of a replay: verdicts on depth, cells seen and changed, events. `print_nodes` prints what
-    was dropped."""
+    """Print the results of a replay: verdicts on depth, cells seen and changed, events."""
     from rich.markup import escape
 
     if said := outcome(summaries):

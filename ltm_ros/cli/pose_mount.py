@@ -48,7 +48,7 @@ def mount(
     site: Annotated[Path, Argument(metavar="SITE", help="Site file, in which the mount is calibrated.")],
     camera: Annotated[str, Argument(metavar="CAMERA", help="PTZ camera of the site.")],
     gcps: Annotated[
-        Path | None, Option("--points", metavar="FILE", help="CSV of landmarks: id, x, y, z, u, v, ...")
+        Path | None, Option("--points", metavar="FILE", help="CSV of landmarks: id, x, y, z, u, v, pan, tilt, zoom.")
     ] = None,
     photos: Annotated[Path | None, Option(metavar="FOLDER", help="Photos of presets, with readings.csv.")] = None,
     free: Annotated[str, Option(metavar="NAMES", help="Also fit focal, lens (focal and k1), position.")] = "focal",
@@ -59,8 +59,7 @@ def mount(
 ) -> None:
     """Calibrate the mount of a PTZ head from landmarks or photos of several presets.
 
-    A folder of photos needs readings.csv (name, pan_deg, tilt_deg, zoom), as `ltm cameras snapshot` writes it. The CSV
-    of landmarks also needs the columns pan, tilt and zoom."""
+    A folder of photos needs readings.csv (name, pan_deg, tilt_deg, zoom), as `ltm cameras snapshot` writes it."""
     chosen = set(parameter_names(free))
     if chosen - {"focal", "lens", "position"}:
         raise ConfigError(f"--free {free}: landmarks fit focal, lens (focal and k1 at each zoom) and position")
