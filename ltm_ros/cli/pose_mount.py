@@ -132,8 +132,7 @@ def _from_points(
 
 
 def _from_photos(ptz: StatedMount, photos: Path) -> MountModel:
-    """Fit the mount to skylines of several presets, with the site's labels and mask. Raises PoseError if they do not
-    determine it."""
+    """Fit the mount to skylines of presets, with the site's labels and mask. Raises PoseError if they are too few."""
     terrain, config = site_terrain(ptz.site)
     segmenter, scene = site_segmenter(ptz.site, ptz.camera), site_scene_filter(ptz.site, ptz.camera)
     azimuth, pitch, roll, tilt_zero = ptz.config.angle_sigmas_deg

@@ -87,8 +87,7 @@ class Scene:
         raise ConfigError(f"no camera {name!r}; there are {', '.join([*self.cameras, *self.skipped]) or 'none'}")
 
     def named(self, text: str, option: str) -> tuple[str, str]:
-        """Return the camera and the value of an argument `[CAMERA=]VALUE`. Raises ConfigError if it names none of
-        several."""
+        """Return camera and value of an argument `[CAMERA=]VALUE`. Raises ConfigError if it names none of several."""
         name, given, value = text.rpartition("=")
         if given:
             return name, value
