@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
+from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import DiskReserve
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, to_yaml
 from ltm_msgs_py.bag.repair import finish_cut_file
@@ -132,7 +133,7 @@ class McapFile:
         self._reserve.give_up()
         with suppress(OSError):
             self._stream.close()
-        with suppress(OSError):
+        with suppress(OSError, RecordingError):
             if self._holds_new:
                 os.truncate(self.path, self._whole)
                 finish_cut_file(self.path)

@@ -96,7 +96,7 @@ class McapIndex:
         Corrupt chunks are noted in `damage`. Raises RecordingError if the file cannot be opened any more."""
         # A chunk waits in the heap under its first message's time, and its messages join it when it is opened, so at
         # most the chunks that overlap in time are in memory.
-        begin, end = start_ns or 0, LATEST_NS + 1 if end_ns is None else end_ns
+        begin, end = start_ns or 0, 1 << 64 if end_ns is None else end_ns  # beyond MCAP's own times
         waiting: list[tuple[int, int, int, Message | None]] = [
             (first, offset, -1, None) for first, last, offset in self._spans if last >= begin and first < end
         ]
@@ -183,10 +183,11 @@ class McapIndex:
         if opcode == Opcode.HEADER:
             self.header_end = end
         elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
-            last_chunk, _ = self.chunks[-1]
-            (channel,) = struct.unpack("<H", stream.read(2))
-            last_chunk.message_index_offsets[channel] = offset
-            last_chunk.message_index_length = end - last_chunk.chunk_start_offset - last_chunk.chunk_length
+            (channel,), (chunk, _) = struct.unpack("<H", stream.read(2)), self.chunks[-1]
+            # One that does not follow this chunk belongs to a corrupt one.
+            if offset == chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length:
+                chunk.message_index_offsets[channel] = offset
+                chunk.message_index_length += end - offset
         elif opcode not in (*range(1, 16), *_PRIVATE) or opcode == Opcode.FOOTER:
             raise ValueError(f"unexpected opcode {opcode}")
         if opcode not in _CONTENT:
@@ -274,7 +275,8 @@ def _sound_summary(stream: BinaryIO) -> bytes | None:
     size = stream.seek(0, 2)
     stream.seek(size - _TAIL.size)
     opcode, length, summary_start, _, checksum, magic = _TAIL.unpack(stream.read(_TAIL.size))
-    if (opcode, length, magic) != (Opcode.FOOTER, 20, MAGIC) or not 0 < size - summary_start <= _LARGEST_SUMMARY:
+    known = len(MAGIC) <= summary_start < size <= summary_start + _LARGEST_SUMMARY
+    if (opcode, length, magic) != (Opcode.FOOTER, 20, MAGIC) or not known:
         return None
     stream.seek(summary_start)
     section = stream.read(size - summary_start)

@@ -242,13 +242,14 @@ class BagReader:
         try:
             with path.open("rb") as source:
                 magic = source.read(len(_SQLITE))
-                source.seek(0)
                 if magic.startswith(zstandard.FRAME_HEADER):
+                    source.seek(0)
                     self._unpacked.append(tempfile.TemporaryDirectory(prefix="ltm_bag_"))
-                    plain = Path(self._unpacked[-1].name) / path.name.removesuffix(".zstd")
-                    with plain.open("wb") as whole:
+                    path = Path(self._unpacked[-1].name) / path.name.removesuffix(".zstd")
+                    with path.open("w+b") as whole:
                         zstandard.ZstdDecompressor().copy_stream(source, whole)
-                    return self._opened(plain)
+                        whole.seek(0)
+                        magic = whole.read(len(_SQLITE))
             return SqliteIndex.open(path) if magic == _SQLITE else McapIndex.open(path)
         except (OSError, zstandard.ZstdError) as error:
             raise RecordingError(f"cannot read {path}: {error}") from error

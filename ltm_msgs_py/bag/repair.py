@@ -25,10 +25,16 @@ _log = logging.getLogger(__name__)
 
 
 def finish_cut_file(path: Path) -> None:
-    """Complete a file that BagWriter could not finish, so that every MCAP reader accepts it.
+    """Complete a file that BagWriter could not finish, so that every MCAP reader accepts it; leave a complete one.
 
-    Raises RecordingError if it is not an MCAP file, OSError if the disk fails; the complete chunks always stay."""
+    Raises RecordingError if it is not an MCAP file or cannot be read now, OSError if the disk fails; the complete
+    chunks always stay."""
     index = McapIndex.open(path)
+    if index.unread:
+        raise RecordingError(f"{path} cannot be read now: {'; '.join(index.unread)}")
+    if not index.damage:
+        return
+    _log.warning("repairing: %s", "; ".join(index.damage))
     # The index of the messages in the last chunk may be cut.
     kept = [(c, counts) for c, counts in index.chunks if counts.keys() <= c.message_index_offsets.keys()]
     chunks, counts = [chunk for chunk, _ in kept], sum((count for _, count in kept), Counter[int]())
@@ -73,9 +79,7 @@ def repair_bag(folder: Path, files: Sequence[Path]) -> None:
             file.unlink()
         files = [file for file in files if file not in empty]
         for file in files:
-            if damage := McapIndex.open(file).damage:
-                _log.warning("repairing: %s", "; ".join(damage))
-                finish_cut_file(file)
+            finish_cut_file(file)
         rewrite_metadata(folder, files)
     except BROKEN as error:
         raise RecordingError(f"cannot repair the bag {folder}: {error}") from error

@@ -13,8 +13,10 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
+import zstandard
 
 from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.base.types import UInt8Array
@@ -47,10 +49,10 @@ class TaskReport:
 
 @dataclass(frozen=True, eq=False)
 class TaskResult:
-    """`votes`: of each frame that shows something. `lost`: frames that failed; `unused`: reason -> number of frames
-    with unusable images."""
+    """`votes`: of each frame that shows something, unpacked one by one. `lost`: frames that failed; `unused`: reason ->
+    number of frames with unusable images."""
 
-    votes: tuple[CellVotes, ...]
+    votes: Iterator[CellVotes]
     model: str
     lost: tuple[Failure, ...]
     unused: Mapping[str, int]
@@ -124,7 +126,8 @@ def _votes_file(task: Task, steps: FrameSteps) -> bytes:
         if reason:
             unused[reason] += 1
         if votes is not None:
-            rows.append({"stamp": frame.stamp_ns, "votes": votes_to_bytes(votes)})
+            # At once, because a day's votes have gigabytes.
+            rows.append({"stamp": frame.stamp_ns, "votes": zstandard.compress(votes_to_bytes(votes))})
     about = {"camera": task.frames[0].camera, "model": steps.described, "unused": unused}
     return packed(pa.Table.from_pylist(rows, _FRAMES), about | {"lost": [asdict(one) for one in lost]})
 
@@ -132,10 +135,13 @@ def _votes_file(task: Task, steps: FrameSteps) -> bytes:
 def read_result(file: Path, geometry: GridGeometry) -> TaskResult:
     """Read the result of a task; `geometry`: the fuel grid in the map frame. Raises ConfigError if it is corrupt."""
     table, about = unpacked(file)
-    camera, model = about["camera"], about["model"]
-    frames = [FrameRecord(camera, row["stamp"], (), model, row["votes"]) for row in table.to_pylist()]
+    camera, model, rows = about["camera"], about["model"], table.to_pylist()
     lost = tuple(Failure(**one) for one in about["lost"])
-    return TaskResult(tuple(votes_of(frame, geometry) for frame in frames), model, lost, about["unused"])
+
+    def votes(row: Mapping[str, Any]) -> CellVotes:
+        return votes_of(FrameRecord(camera, row["stamp"], (), model, zstandard.decompress(row["votes"])), geometry)
+
+    return TaskResult(map(votes, rows), model, lost, about["unused"])
 
 
 _ATTEMPTS = 4

@@ -92,8 +92,8 @@ def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
     if camera is None and (calibration := site.cameras[frame.camera_name].calibration) is not None:
         camera = calibration.camera()
     if camera is None:
-        what = f"frame {frame.stamp_ns} of {frame.camera_name}: no camera_info, and no calibration in site {site.name}"
-        raise RecordingError(f"{what} has no camera_info and site {site.name} no calibration: record camera_info")
+        what = f"frame {frame.stamp_ns} of {frame.camera_name} has no camera_info, and site {site.name} no calibration"
+        raise RecordingError(f"{what}: record camera_info")
     return camera.height, camera.width
 
 

@@ -109,9 +109,12 @@ class RerunProcess:
             process.wait_until_listening(grpc_port)
             process.wait_until_listening(own_page)
             process._page = WebServer(_page_routes(own_page, grpc_port), LOOPBACK, web_port)
-        except (ConfigError, OSError) as error:
+        except OSError as error:
             process.stop()
-            raise ConfigError(f"{LOOPBACK}:{web_port}: {error}") if isinstance(error, OSError) else error from error
+            raise ConfigError(f"{LOOPBACK}:{web_port}: {error}") from error
+        except ConfigError:
+            process.stop()
+            raise
         return process
 
     @property

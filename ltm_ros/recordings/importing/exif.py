@@ -31,7 +31,7 @@ _FIRST_GPS_YEAR = 1999
 """EXIF has GPS tags since 1998; receivers without a fix count from 1980, or from 1970."""
 _GIMBAL_SIGMA_DEG = 0.5
 """Standard deviation of the pitch and roll of a drone's gimbal in degrees."""
-_XMP_VALUE = re.compile(r"""([\w-]+:\w+)\s*=\s*["']([^"']*)["']|<([\w-]+:\w+)>([^<]*)</""")
+_XMP_VALUE = re.compile(r"""(?<![\w-])([\w-]+:\w+)\s*=\s*["']([^"']*)["']|<([\w-]+:\w+)>([^<]*)</""")
 
 
 @dataclass(frozen=True, eq=False)

@@ -201,7 +201,7 @@ def read_foreign_poses(
     tool, read = next((tool, read) for tool, fits, read in readers if fits)
     try:
         poses = read()
-    except (KeyError, ValueError, TypeError, IndexError, AttributeError, OverflowError) as error:
+    except (LookupError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise PoseError(f"{path}: is not a readable file of {tool} ({type(error).__name__}: {error})") from error
     if not poses:
         raise PoseError(f"{path}: contains no pose ({tool})")

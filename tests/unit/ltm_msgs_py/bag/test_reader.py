@@ -165,6 +165,7 @@ def test_bytes_that_do_not_decode_are_refused_with_topic_and_time(bag: Path, raw
         (b"", "is empty"),
         (b"SQLite format 3\0" + bytes(100), "SQLite bag"),
         (zstandard.FRAME_HEADER + b"\xff" * 50, "cannot read"),
+        (zstandard.compress(zstandard.compress(b"\x89MCAP0\r\n")), "begins with 28 b5 2f fd"),
         (b"#ROSBAG V2.0\n", "ROS 1 bag"),
         (b"\xff\xd8\xff\xe0" + bytes(50), "begins with ff d8 ff e0"),
         (b"\x89MCA", "begins with 89 4d 43 41"),
@@ -289,13 +290,13 @@ def test_a_chunk_that_unfolds_to_gigabytes_is_left_out(
     assert peak < 200 << 20
 
 
-@pytest.mark.parametrize("chunking", [True, False], ids=["chunks", "no chunks"])
+@pytest.mark.parametrize("chunk_size", [1, 1 << 20, None], ids=["a chunk each", "one chunk", "no chunks"])
 @pytest.mark.parametrize(("log_time", "sent"), [(2**64 - 1, 30), (2**63, 30), (30, 2**63)])
-def test_messages_of_no_time_are_left_out(tmp_path: Path, chunking: bool, log_time: int, sent: int) -> None:
+def test_messages_of_no_time_are_left_out(tmp_path: Path, chunk_size: int | None, log_time: int, sent: int) -> None:
     """MCAP's times go to the year 2554; one beyond ROS's ended a whole archive's run."""
     path = tmp_path / "late.mcap"
     with path.open("wb") as stream:
-        writer = Writer(stream, use_chunking=chunking)
+        writer = Writer(stream, use_chunking=chunk_size is not None, chunk_size=chunk_size or 1)
         writer.start("ros2", "test")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", schema_text("std_msgs/msg/String").encode())
         channel = writer.register_channel("/text", "cdr", schema)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import struct
@@ -17,8 +18,9 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header, String
 
 from ltm_core.base.errors import RecordingError
+from ltm_msgs_py.bag.mcap_index import McapIndex
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.bag.repair import repair_bag
+from ltm_msgs_py.bag.repair import finish_cut_file, repair_bag
 from ltm_msgs_py.bag.schemas import schema_text
 from ltm_msgs_py.bag.writer import BagWriter, Split
 
@@ -115,7 +117,12 @@ def test_metadata_appears_only_when_the_bag_is_finished_also_after_an_error(tmp_
     assert information(bag)["message_count"] == 1
 
 
-def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_another(tmp_path: Path) -> None:
+@pytest.mark.parametrize("readable", [True, False])
+def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_another(
+    tmp_path: Path, readable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not readable:
+        monkeypatch.setattr(McapIndex, "open", lambda path: BagReader(path / "absent"))
     writer = BagWriter(tmp_path / "bag", compression=None, chunk_size=25_000)
     writer.write("/a", String(data="0" * 10_000), 0)
     writer.flush()
@@ -132,7 +139,8 @@ def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_anoth
     assert writer.on_disk == {"/a": 1}, "it waits for its chunk"
     writer.close()
     assert (writer.on_disk, writer.lost) == ({"/a": 2}, 3)
-    reader = BagReader(tmp_path / "bag", allow_damaged=False)
+    monkeypatch.undo()
+    reader = BagReader(tmp_path / "bag", allow_damaged=not readable)
     assert [reader.decode(m).data[0] for m in reader.messages()] == ["0", "4"]
     assert information(tmp_path / "bag")["message_count"] == 2
     assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "bag_1.mcap", "metadata.yaml"]
@@ -205,6 +213,30 @@ def test_a_repair_keeps_the_chunks_after_a_corrupt_one(tmp_path: Path, compressi
     (tmp_path / "a.mcap").write_bytes(data)
     repair_bag(tmp_path, [tmp_path / "a.mcap"])
     assert [m.log_time_ns for m in BagReader(tmp_path, allow_damaged=False).messages()] == [0, 1, 2, 3, 5, 6, 7, 8]
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+    assert summary is not None
+    for chunk in summary.chunk_indexes:  # its own index, not that of the corrupt chunk after it
+        assert list(chunk.message_index_offsets.values()) == [chunk.chunk_start_offset + chunk.chunk_length]
+    whole = (tmp_path / "a.mcap").read_bytes()
+    finish_cut_file(tmp_path / "a.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == whole, "a complete file has no chunks to find"
+
+
+def test_a_file_that_cannot_be_read_now_is_not_repaired(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "bag/bag_0.mcap"
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/a", String(data="kept"), 1)
+    whole = file.read_bytes()
+
+    def failing(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("ltm_msgs_py.bag.mcap_index._chunk_at", failing)
+    monkeypatch.setattr("ltm_msgs_py.bag.mcap_index._sound_summary", failing)
+    with pytest.raises(RecordingError, match="cannot be read now"):
+        repair_bag(tmp_path / "bag", [file])
+    assert file.read_bytes() == whole
 
 
 @pytest.mark.parametrize("kept", [0, 8, 9, 20])

@@ -8,7 +8,7 @@ from PIL.Image import Exif
 from PIL.TiffImagePlugin import IFDRational
 
 from ltm_core.base.errors import ImageError
-from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts
+from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
 
 PHOTO, GPS = 0x8769, 0x8825
 
@@ -40,6 +40,10 @@ def test_a_phone_photo_tells_where_and_when() -> None:
     assert (found.sensed.altitude, found.sensed.azimuth_deg, found.sensed.azimuth_ref) == (1742.5, 231.25, "T")
     assert found.orientation == 1
     assert found.taken == datetime(2024, 7, 4, 18, 30, 15, 250_000, timezone(timedelta(hours=-7)))
+
+
+def test_a_long_word_in_xmp_takes_no_quadratic_time() -> None:
+    assert xmp_values("a" * 500_000 + ' <x-y:Pitch>2</x-y:Pitch> z:Yaw="1"') == {"x-y:Pitch": "2", "z:Yaw": "1"}
 
 
 def test_south_west_below_the_sea_and_magnetic() -> None:
