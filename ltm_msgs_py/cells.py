@@ -44,15 +44,13 @@ def fuel_cells_to_msg(
     z = np.asarray(heights[rows, cols], np.float32)
     columns: dict[str, NDArray[Any]] = {"x": x.astype(np.float32), "y": y.astype(np.float32), "z": z}
     columns |= {name: getattr(layers, name)[rows, cols].astype(dtype) for name, dtype in _FIELDS.items()}
-    return columns_to_msg(columns, stamp_ns, "map", is_dense=bool(np.isfinite(z).all()))
+    return columns_to_msg(columns, stamp_ns, is_dense=bool(np.isfinite(z).all()))
 
 
 _WHAT = "terrain update"
 
 
-def changed_to_msg(
-    changed: Changed, heights: Float32Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map"
-) -> PointCloud2:
+def changed_to_msg(changed: Changed, heights: Float32Array, geometry: GridGeometry, stamp_ns: int) -> PointCloud2:
     """Return changed cells as points. `heights`: (N,) of the updated surface there; `geometry`: the terrain's grid."""
     x, y = geometry.to_map(changed.rows, changed.cols)
     columns: dict[str, NDArray[Any]] = {
@@ -60,7 +58,7 @@ def changed_to_msg(
     }
     columns |= {"row": changed.rows.astype(np.int32), "col": changed.cols.astype(np.int32)}
     columns |= {"change": changed.kind.astype(np.uint8), "shift": changed.shift.astype(np.float32)}
-    return columns_to_msg(columns, stamp_ns, frame_id, is_dense=bool(np.isfinite(heights).all()))
+    return columns_to_msg(columns, stamp_ns, is_dense=bool(np.isfinite(heights).all()))
 
 
 def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
@@ -74,9 +72,9 @@ def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
     return Changed(rows, cols, np.zeros_like(kind), kind, shift), np.column_stack(place)
 
 
-def change_to_msg(layers: SurfaceLayers, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
+def change_to_msg(layers: SurfaceLayers, stamp_ns: int) -> OccupancyGrid:
     """Return kinds of change of a window; -1 without independent views."""
-    return classes_to_msg(layers.told, layers.geometry, stamp_ns, frame_id)
+    return classes_to_msg(layers.told, layers.geometry, stamp_ns)
 
 
 def manifest_to_msg(manifest: SurfaceManifest) -> DiagnosticArray:

@@ -20,7 +20,7 @@ UNKNOWN = 255
 LARGEST_CLASS = 127
 
 
-def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, frame_id: str = "map") -> OccupancyGrid:
+def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int) -> OccupancyGrid:
     """Return a grid of class indices, (H, W) uint8 north up with 255 unknown, as an OccupancyGrid with -1 unknown.
 
     Class indices 0..127 fit int8; fuel model numbers do not. Raises MessageError for those and wrong shapes."""
@@ -31,7 +31,7 @@ def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, f
         row, col = np.argwhere(too_large)[0]
         what = f"class {classes[row, col]} at row {row}, col {col} does not fit OccupancyGrid's int8"
         raise MessageError(f"{what}: send class indices 0..{LARGEST_CLASS}, {UNKNOWN} for unknown")
-    msg = OccupancyGrid(header=make_header(stamp_ns, frame_id))
+    msg = OccupancyGrid(header=make_header(stamp_ns, "map"))
     msg.info.map_load_time = ns_to_time(stamp_ns)
     msg.info.resolution = float(geometry.resolution)
     msg.info.height, msg.info.width = geometry.shape
@@ -46,14 +46,14 @@ def classes_to_msg(classes: UInt8Array, geometry: GridGeometry, stamp_ns: int, f
 
 
 def tile_to_msg(
-    classes: UInt8Array, geometry: GridGeometry, window: tuple[int, int, int, int], stamp_ns: int, frame_id: str = "map"
+    classes: UInt8Array, geometry: GridGeometry, window: tuple[int, int, int, int], stamp_ns: int
 ) -> OccupancyGrid:
     """Return the part `window` = (row, col, height, width) of a class grid as its own OccupancyGrid.
 
     Raises MessageError if the window exceeds the grid, and as `classes_to_msg`."""
     row, col, height, width = _inside(window, geometry)
     part = classes[row : row + height, col : col + width]
-    return classes_to_msg(part, geometry.window(row, col, height, width), stamp_ns, frame_id)
+    return classes_to_msg(part, geometry.window(row, col, height, width), stamp_ns)
 
 
 def msg_to_classes(msg: Any, crs: str | None = None) -> tuple[UInt8Array, GridGeometry]:

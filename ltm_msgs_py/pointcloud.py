@@ -1,13 +1,7 @@
-"""Convert named columns, votes and fuel cells to PointCloud2, and back.
+"""Convert named columns and votes to PointCloud2, and back.
 
-CellVotes <-> sensor_msgs/PointCloud2: one point a cell, with the columns of `ltm_core.fuel.vote_columns` as fields.
-
-So votes are sparse and name the classes that they count, and any ROS tool shows them as points.
-
-Fuel map cells that cameras have touched <-> sensor_msgs/PointCloud2.
-
-One point a cell: x, y, z float32 (its centre on the terrain), life_form uint8, prior and code int16 (fuel models, -9999
-none), p_max, entropy and evidence float32, changed and seen_by uint8."""
+Votes are one point a cell, with the columns of `ltm_core.fuel.vote_columns` as fields, so that any ROS tool shows
+them."""
 
 from __future__ import annotations
 
@@ -35,7 +29,7 @@ _LARGEST_POINT = 2**31 - 1
 """Maximum bytes of a point, NumPy's limit for records."""
 
 
-def columns_to_msg(columns: Columns, stamp_ns: int, frame_id: str, is_dense: bool = True) -> PointCloud2:
+def columns_to_msg(columns: Columns, stamp_ns: int, is_dense: bool = True) -> PointCloud2:
     """Columns of N values each, packed without gaps in their order, as an unorganised PointCloud2.
 
     Raises MessageError on columns of unequal length or of a dtype that PointField does not have."""
@@ -54,7 +48,7 @@ def columns_to_msg(columns: Columns, stamp_ns: int, frame_id: str, is_dense: boo
     points = np.empty(count, np.dtype(dtypes))
     for name, column in columns.items():
         points[name] = column
-    msg = PointCloud2(header=make_header(stamp_ns, frame_id), height=1, width=count, fields=fields)
+    msg = PointCloud2(header=make_header(stamp_ns, "map"), height=1, width=count, fields=fields)
     msg.is_bigendian = sys.byteorder == "big"
     msg.point_step, msg.row_step = offset, offset * count
     msg.is_dense = is_dense
@@ -98,11 +92,11 @@ def msg_to_columns(msg: Any) -> Columns:
     return {name: np.ascontiguousarray(points[name], points[name].dtype.newbyteorder("=")) for name in names}
 
 
-def votes_to_msg(votes: CellVotes, class_names: Sequence[str], frame_id: str = "map") -> PointCloud2:
+def votes_to_msg(votes: CellVotes, class_names: Sequence[str]) -> PointCloud2:
     """Return votes as points; `class_names`: (K,) of the counts' columns. Raises MessageError."""
     columns = votes_to_columns(votes, class_names)
     dense = all(np.isfinite(columns[axis]).all() for axis in ("x", "y", "z"))
-    return columns_to_msg(columns, votes.stamp_ns, frame_id, is_dense=dense)
+    return columns_to_msg(columns, votes.stamp_ns, is_dense=dense)
 
 
 def msg_to_votes(msg: Any, geometry: GridGeometry, class_names: Sequence[str], source: str) -> CellVotes:

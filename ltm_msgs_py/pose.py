@@ -213,10 +213,10 @@ def msg_to_outline(msg: Any, frame_id: str) -> Float64Array:
 
 
 def place_to_msg(
-    place: Float64Array, covariance: Float64Array, height_variance: float, stamp_ns: int, frame_id: str = "map"
+    place: Float64Array, covariance: Float64Array, height_variance: float, stamp_ns: int
 ) -> PoseWithCovarianceStamped:
     """Return a place (3,) of the map with its (2, 2) covariance; its orientation is marked as unknown."""
-    msg = PoseWithCovarianceStamped(header=make_header(stamp_ns, frame_id))
+    msg = PoseWithCovarianceStamped(header=make_header(stamp_ns, "map"))
     position = msg.pose.pose.position
     position.x, position.y, position.z = (float(v) for v in place)
     msg.pose.pose.orientation.w = 1.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -33,24 +33,19 @@ from ltm_core.surface.confirmed_surface import SurfaceVersion
 from ltm_core.vision.labels import LabelSet
 
 
-def site_evidence_map(site: Site, geometry: GridGeometry, labels: LabelSet) -> LivingFuelMap:
+def site_evidence_map(
+    site: Site, geometry: GridGeometry, labels: LabelSet, given: LabelErrors | None = None
+) -> LivingFuelMap:
     """Return an empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
 
-    Raises ConfigError and RasterError for a climate, label errors or prior that cannot be taken."""
-    return empty_maps(site, geometry, labels)()
-
-
-def empty_maps(
-    site: Site, geometry: GridGeometry, labels: LabelSet, given: LabelErrors | None = None
-) -> Callable[[], LivingFuelMap]:
-    """Return a function that makes such maps from files that are read once, now; `given`: label errors instead of the
-    known ones. Raises as `site_evidence_map`."""
+    `given`: label errors instead of the known ones. Raises ConfigError and RasterError for a climate, label errors or
+    prior that cannot be taken."""
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
     climate = FuelClimate.named(fuel.climate)
     known = (site_label_errors(site), camera_label_errors(site)) if given is None else (given, {})
     errors, of_cameras = known
-    return lambda: LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
+    return LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
 
 
 def measured_errors(
@@ -67,12 +62,12 @@ def measured_errors(
     as `measure_labels` and `site_evidence_map`."""
     from ltm_core.fuel.label_measurement import measure_labels
 
-    prior = empty_maps(site, geometry, labels, UNMEASURED)().prior
+    prior = site_evidence_map(site, geometry, labels, UNMEASURED).prior
     if prior is None:
         raise ConfigError(f"site {site.name} has no prior map (fuel.prior); labels are measured against one")
 
     def changes(errors: LabelErrors, of: Sequence[CellVotes] = votes) -> UInt8Array:
-        evidence = empty_maps(site, geometry, labels, errors)()
+        evidence = site_evidence_map(site, geometry, labels, errors)
         for frame in of:
             evidence.add(frame)
         layers = evidence.layers()

@@ -130,10 +130,9 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     progress(len(tasks) - len(waiting), len(tasks))
     for number, ended in enumerate(engine(waiting, planned.settings) if waiting else (), start=1):
         progress(len(tasks) - len(waiting) + number, len(tasks))
-        if ended.report is None:
+        worked += ended.worked
+        if ended.error:
             broken[ended.task.key] = Failure(ended.task.label, "task", ended.error, len(ended.task.frames))
-        else:
-            worked += ended.report.worked
     failures = (*planned.manifest.unread, *planned.manifest.failures, *broken.values())
     whole = [task for task in tasks if task.key not in broken]
     dem = planned.site.open_dem()  # shared by all readers while it is held: each day needs an image

@@ -25,7 +25,6 @@ from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, TracingConfig, TracingStep, VotingStep, seen
-from ltm_core.pipeline.site_fuel import empty_maps
 from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
@@ -40,13 +39,6 @@ from ltm_ros.runtime.ros_environment import available_cores
 _FRAMES = pa.schema([("stamp", pa.int64()), ("votes", pa.binary())])
 
 
-@dataclass(frozen=True)
-class TaskReport:
-    """Result of a task: number of frames whose images were read, 0 if its file existed."""
-
-    worked: int
-
-
 @dataclass(frozen=True, eq=False)
 class TaskResult:
     """`votes`: of each frame that shows something, unpacked one by one. `lost`: frames that failed; `unused`: reason ->
@@ -58,31 +50,29 @@ class TaskResult:
     unused: Mapping[str, int]
 
 
-def work(task: Task, settings: TaskSettings) -> TaskReport:
-    """Process the frames of a task, unless its file exists. Raises ArchiveError if the program, the site's files or an
-    image have changed since the plan, OSError if files cannot be read or written now."""
+def work(task: Task, settings: TaskSettings) -> int:
+    """Process the frames of a task, unless its file exists; return the number of images read.
+
+    Raises ArchiveError if the program, the site's files or an image have changed since the plan, OSError if files
+    cannot be read or written now."""
     if code_digest() != settings.code:
         raise ArchiveError("the program has changed during the run; run again")
     file = settings.results / task.file
     if file.exists():
-        return TaskReport(0)
+        return 0
     camera = task.frames[0].camera
     steps = _steps(settings.site, camera, settings.tracing, settings.labelling, task.site_key)
     write_result(file, _votes_file(task, steps))
-    return TaskReport(len(task.frames))
+    return len(task.frames)
 
 
 class FrameSteps:
     """All steps from an image to votes for one camera, in any order, so that smoke is not detected."""
 
     def __init__(self, site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> None:
-        self.site = site
         self._tracing = TracingStep(site, camera, tracing)
         self._labelling = LabellingStep(site, camera, labelling)
         self._voting = VotingStep(site, camera)
-        self.geometry = self._voting.geometry
-        self.empty = empty_maps(site, self.geometry, self._voting.labels)
-        """Makes a map without evidence."""
 
     @property
     def described(self) -> str:
@@ -101,7 +91,7 @@ class FrameSteps:
         # As nodes receive them, through a message.
         names = self._voting.labels.names
         columns = votes_to_columns(self._voting.carried(cast), names)
-        return columns_to_votes(columns, self.geometry, names, stamp, frame.camera), view.unusable
+        return columns_to_votes(columns, self._voting.geometry, names, stamp, frame.camera), view.unusable
 
 
 @lru_cache(maxsize=2)
@@ -150,14 +140,14 @@ _ATTEMPTS = 4
 
 @dataclass(frozen=True)
 class Done:
-    """A finished task; `error`: why it gave no result."""
+    """A finished task; `worked`: number of images read; `error`: why it gave no result."""
 
     task: Task
-    report: TaskReport | None
+    worked: int
     error: str = ""
 
 
-Job = Callable[[Task, TaskSettings], TaskReport]
+Job = Callable[[Task, TaskSettings], int]
 Engine = Callable[[Sequence[Task], TaskSettings], Iterator[Done]]
 
 
@@ -167,7 +157,7 @@ def serial(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         try:
             yield Done(task, work(task, settings))
         except (LtmError, OSError) as error:
-            yield Done(task, None, str(error))
+            yield Done(task, 0, str(error))
 
 
 def on_workers(count: int, job: Job | None = None) -> Engine:
@@ -187,9 +177,9 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
                 except BrokenProcessPool:
                     del own.worker
                 except (LtmError, OSError) as error:
-                    return Done(task, None, str(error))
+                    return Done(task, 0, str(error))
             why = "several workers died of it: out of memory, or an image that crashes the process"
-            return Done(task, None, why)
+            return Done(task, 0, why)
 
         threads = ThreadPoolExecutor(min(count, len(tasks)))
         try:

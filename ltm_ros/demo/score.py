@@ -62,7 +62,7 @@ class RunTally:
     """Adds the frames of a recorded run to its scores."""
 
     def __init__(self, recorded: Recorded, stream: FrameStream) -> None:
-        self._recorded, self._stream = recorded, stream
+        self._recorded = recorded
         self._label_set = LabelSet.load(config_path(recorded.site.labels))
         self._expected = sum(stream.has(name) for name in DEPTH_SOURCES)
         self._tallies = {(name, against): DepthTally() for name in DEPTH_SOURCES for against in (*TRUTHS, SHARED)}

@@ -13,7 +13,7 @@ from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.pipeline.kernels import compile_kernels
-from ltm_core.pipeline.site_fuel import empty_maps
+from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.pipeline.stored_fuel import STORE_FILE, fuel_schema
 from ltm_core.site.networks import labels_state, with_live_record
@@ -237,7 +237,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         return write_fuel_map(name, life_form, grid, self._classes, {"labels": self._reliability})
 
     def _empty(self) -> LivingFuelMap:
-        return empty_maps(self._site, self._geometry, self._labels, self._measured)()
+        return site_evidence_map(self._site, self._geometry, self._labels, self._measured)
 
     def _open_store(self) -> TileStore:
         schema, folder = fuel_schema(self._site, self._geometry), self._folder

@@ -76,9 +76,7 @@ class StreamedFrame:
 
 
 class FrameStream:
-    """The frames of a site's cameras.
-
-    `counts`: messages by (camera, part). `latencies_ms`: by (camera, topic name), from stamp to log time."""
+    """The frames of a site's cameras."""
 
     def __init__(self, bag: Path, site: Site, cameras: Collection[str], parts: Parts = PARTS) -> None:
         self._reader = BagReader(bag)
@@ -93,13 +91,9 @@ class FrameStream:
                         self._topics[name] = (camera, part, topic, take)
         self._messages: Counter[tuple[str, int]] = Counter()
         self._parts: dict[tuple[str, int], set[str]] = defaultdict(set)
-        self.counts: Counter[tuple[str, str]] = Counter()
-        self.latencies_ms: dict[tuple[str, str], list[float]] = defaultdict(list)
-        for camera, part, topic, stamp, message in self._stamped(list(self._topics)):
+        for camera, part, _, stamp, _ in self._stamped(list(self._topics)):
             self._messages[camera, stamp] += 1
             self._parts[camera, stamp].add(part)
-            self.counts[camera, part] += 1
-            self.latencies_ms[camera, topic.name].append((message.log_time_ns - stamp) / 1e6)
 
     @classmethod
     def open(cls, bag: Path, site: Site, parts: Parts = PARTS) -> FrameStream:
@@ -126,7 +120,7 @@ class FrameStream:
 
     def has(self, part: str) -> bool:
         """Return whether the bag has this part of any frame."""
-        return any(counted == part for _, counted in self.counts)
+        return any(part in parts for parts in self._parts.values())
 
     def frames(self, needed: Collection[str] = (), cameras: Collection[str] | None = None) -> Iterator[StreamedFrame]:
         """Yield frames that have the `needed` parts; each camera's in time order."""

@@ -49,7 +49,7 @@ class Layer:
 def local(paths: Sequence[Path]) -> Fetched:
     """Return the user's own files in the form of fetched ones."""
     names = ", ".join(path.name for path in paths)
-    return Fetched(tuple(paths), names, "", None, 0.0, None, (), 0)
+    return Fetched(tuple(paths), names, "", None, None, ())
 
 
 def elevation_tiles(data: Fetched) -> list[Tile]:

@@ -16,8 +16,6 @@ from ltm_core.base.strict_model import StrictModel
 
 METRES_PER_DEGREE = 111_320.0
 """Length of a degree of longitude at the equator, and of latitude within 0.7 %."""
-_SHORTEST_DEGREE_M = 110_574.0
-"""Length of a degree of latitude at the equator, where it is shortest."""
 
 
 class Kind(StrEnum):
@@ -45,15 +43,6 @@ class Area:
                 f"the area {self.bounds_lonlat} is not (west, south, east, north) in degrees; give longitudes in "
                 "[-180, 180] and latitudes in [-90, 90], and no area across the 180th meridian"
             )
-
-    @classmethod
-    def around(cls, lon: float, lat: float, radius_m: float) -> Area:
-        """Return the rectangle that contains a circle."""
-        if not (math.isfinite(radius_m) and radius_m > 0.0):
-            raise ConfigError(f"the radius is {radius_m:g} m; give a length above 0")
-        up = radius_m / _SHORTEST_DEGREE_M
-        side = up / math.cos(math.radians(min(abs(lat) + up, 89.0)))
-        return cls((lon - side, lat - up, lon + side, lat + up))
 
     @property
     def size_m(self) -> tuple[float, float]:
@@ -193,9 +182,7 @@ class Fetched:
     licence: str
     vertical_crs: str | None
     """CRS of the heights, such as EPSG:5703 (NAVD88), EPSG:3855 (EGM2008) or EPSG:4979 (ellipsoidal)."""
-    resolution_m: float
     year: int | None
     urls: tuple[str, ...]
-    bytes_read: int
     above_ground: bool = False
     """Whether the values are canopy heights above the ground and not elevations."""

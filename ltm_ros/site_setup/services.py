@@ -50,7 +50,7 @@ class WholeFileSource(Source):
     """A source whose parts are whole files that the service makes for the area."""
 
     def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
-        before, files, used, done = self.web.bytes_read, [], [], 0
+        files, used, done = [], [], 0
         check_room(folder, plan.expected_bytes)
         for part in plan.parts:
             within = shifted(progress, done, plan.expected_bytes)
@@ -62,7 +62,7 @@ class WholeFileSource(Source):
             progress(done, plan.expected_bytes)
         if not files:
             raise NoCoverageError(f"{self.name}: every cell of the area is unknown; choose another source")
-        return self._fetched(plan, files, used, before)
+        return self._fetched(plan, files, used)
 
     def _secret(self, part: Part) -> dict[str, str]:
         """Return the parameters that are kept out of plans and messages."""
@@ -203,7 +203,7 @@ class LandfireSource(WholeFileSource):
         """Fetch the newer of two editions that knows almost all of the area, else the one that knows more.
 
         An edition is published region by region. Raises NoCoverageError, FetchError."""
-        before, best, most = self.web.bytes_read, None, 0.0
+        best, most = None, 0.0
         check_room(folder, plan.expected_bytes)
         for part in plan.parts[:2]:
             raster = self._raster(self._archive(part, plan.area, progress), part)
@@ -223,11 +223,11 @@ class LandfireSource(WholeFileSource):
             sink.update_tags(SOURCE=self.name, LICENCE=self.licence)
         year = part.name[2:6]
         file = put_into(folder, raster, f"LF{year}.tif")
-        return self._fetched(replace(plan, year=int(year)), [file], [part], before)
+        return self._fetched(replace(plan, year=int(year)), [file], [part])
 
-    def _fetched(self, plan: Plan, files: list[Path], used: list[Part], bytes_before: int) -> Fetched:
+    def _fetched(self, plan: Plan, files: list[Path], used: list[Part]) -> Fetched:
         named = [Part(f"{self.address}/job/submit?Layer_List={part.url}", part.name, 0) for part in used]
-        return super()._fetched(plan, files, named, bytes_before)
+        return super()._fetched(plan, files, named)
 
     def _archive(self, part: Part, area: Area, progress: Progress) -> Path:
         """Return the archive of a job; one that was submitted by an interrupted run is continued."""

@@ -116,18 +116,15 @@ class Source:
             return other.fetch(other.plan(plan.area), folder, progress)
 
     def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
-        before = self.web.bytes_read
         self.web.make_cache()
         tags = {"SOURCE": self.name, "LICENCE": self.licence}
         files, used = fetch_parts(plan.parts, folder, self.web, progress, self.config.nodata, tags)
-        return self._fetched(plan, files, used, before)
+        return self._fetched(plan, files, used)
 
-    def _fetched(self, plan: Plan, files: list[Path], used: list[Part], bytes_before: int) -> Fetched:
-        return Fetched(
-            files=tuple(files), source=self.name, licence=self.licence, vertical_crs=self.vertical_crs,
-            resolution_m=self.resolution_m, year=plan.year, urls=tuple(redacted(part.url) for part in used),
-            bytes_read=self.web.bytes_read - bytes_before, above_ground=self.config.above_ground,
-        )  # fmt: skip
+    def _fetched(self, plan: Plan, files: list[Path], used: list[Part]) -> Fetched:
+        urls = tuple(redacted(part.url) for part in used)
+        about = self.name, self.licence, self.vertical_crs, plan.year, urls, self.config.above_ground
+        return Fetched(tuple(files), *about)
 
     def _planned(self, area: Area) -> Plan:
         wide = area.padded(4 * self.resolution_m)
@@ -254,9 +251,9 @@ class UrlSource(Source):
     def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         if not self.config.sha256:
             return super()._fetch(plan, folder, progress)
-        (part,), before = plan.parts, self.web.bytes_read
+        (part,) = plan.parts
         path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
-        return self._fetched(plan, [put_into(folder, path, part.name)], [part], before)
+        return self._fetched(plan, [put_into(folder, path, part.name)], [part])
 
 
 def list_in(answer: Any, key: str, name: str) -> list[Any]:

@@ -10,7 +10,6 @@ import logging
 import os
 import re
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -100,9 +99,6 @@ class Web:
 
     def __init__(self, cache: Path | None = None, first_pause_s: float = 1.0, timeout_s: float = 90.0) -> None:
         self.cache = cache_folder() if cache is None else cache
-        self.bytes_read = 0
-        """Bytes of all answers so far."""
-        self._lock = threading.Lock()
         self._first_pause_s = first_pause_s
         limits = httpx.Timeout(timeout_s, connect=min(20.0, timeout_s))
         headers = {"User-Agent": "ltm-init", "Accept-Encoding": "identity"}
@@ -130,7 +126,7 @@ class Web:
         def attempt() -> bytes:
             body = bytearray()
             with self._answer(url, params) as response:
-                for chunk in self._chunks(response):
+                for chunk in response.iter_bytes():
                     body += chunk
                     if len(body) > _ANSWER_BYTES:
                         raise FetchError(f"{_host(url)}: more than {_ANSWER_BYTES} bytes; request a smaller area")
@@ -171,7 +167,7 @@ class Web:
                     raise AgainError("the server delivered the whole file instead of a part")
                 if _version(response) != remote.version:
                     raise FetchError(f"{redacted(remote.url)}: changed on the server meanwhile; run the command again")
-                body = b"".join(self._chunks(response))
+                body = b"".join(response.iter_bytes())
                 if len(body) != last + 1 - first:
                     raise AgainError(f"delivered {len(body)} of {last + 1 - first} bytes")
                 return body
@@ -209,7 +205,7 @@ class Web:
                     file.truncate(have)
                     total = have + int(response.headers.get("Content-Length") or 0)
                     check_room(partial.parent, total - have)
-                    for chunk in self._chunks(response):
+                    for chunk in response.iter_bytes():
                         file.write(chunk)
                         have += len(chunk)
                         if have > most:
@@ -236,12 +232,6 @@ class Web:
             raise FetchError(
                 f"{self.cache}: cannot be made ({error.strerror}); keep the cache elsewhere (XDG_CACHE_HOME)"
             ) from error
-
-    def _chunks(self, response: httpx.Response) -> Iterator[bytes]:
-        for chunk in response.iter_bytes():
-            with self._lock:
-                self.bytes_read += len(chunk)
-            yield chunk
 
     @contextmanager
     def _answer(

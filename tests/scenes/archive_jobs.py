@@ -6,18 +6,18 @@ import os
 
 from ltm_core.base.kernels import kernel_threads
 from ltm_ros.archive.plan import Task, TaskSettings
-from ltm_ros.archive.task import TaskReport, work
+from ltm_ros.archive.task import work
 
 
-def deadly_work(deadly: str, task: Task, settings: TaskSettings) -> TaskReport:
+def deadly_work(deadly: str, task: Task, settings: TaskSettings) -> int:
     return os._exit(9) if task.key == deadly else work(task, settings)
 
 
-def full_disk_at_3(task: Task, settings: TaskSettings) -> TaskReport:
+def full_disk_at_3(task: Task, settings: TaskSettings) -> int:
     if task.key == "3":
         raise OSError("the disk is full")
-    return TaskReport(1)
+    return 1
 
 
-def thread_count(task: Task, settings: TaskSettings) -> TaskReport:
-    return TaskReport(kernel_threads())
+def thread_count(task: Task, settings: TaskSettings) -> int:
+    return kernel_threads()

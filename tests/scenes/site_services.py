@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import re
 import threading
 import time
@@ -23,6 +24,8 @@ from numpy.typing import NDArray
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 from rasterio.warp import transform_bounds
+
+from ltm_ros.site_setup.request import Area
 
 Formula = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 """Values at the cell centres x, y in the raster's CRS."""
@@ -42,6 +45,13 @@ _ADDRESSES = {
     "landfire_wcs_alaska": "/wcs/ak_{year}#landfire_wcs__LF{year}_{layer}_AK",
     "landfire_wcs_hawaii": "/wcs/hi_{year}#landfire_wcs__LF{year}_{layer}_HI",
 }
+
+
+def area_around(lon: float, lat: float, radius: float) -> Area:
+    """Return the area of a circle; `radius` in metres."""
+    up = radius / 110_574.0
+    side = up / math.cos(math.radians(abs(lat) + up))
+    return Area((lon - side, lat - up, lon + side, lat + up))
 
 
 def geotiff(

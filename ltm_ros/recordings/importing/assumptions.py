@@ -85,23 +85,12 @@ class Assumptions:
     of unknown azimuth. `keep_unknown`: accept both with a covariance that places nothing until the angle is found.
     `geoid_undulation`: height of the geoid above the ellipsoid, subtracted from altitudes (H = h - N) unless these are
     certainly above sea level. `start_height`: of the camera at the start of a barometer's record, in the DEM's
-    vertical datum. `focal_35mm`: focal length in 35 mm equivalent.
-    Standard deviations: `gps_sigma` of positions that state none, `altitude_sigma` of altitudes that state none,
-    `ground_sigma` of heights above the terrain, `climb_sigma` of barometric heights above the start,
-    `compass_sigma_deg` of directions that state none (a median error of 5.5 degrees is 8.2 for a normal distribution),
-    `tilt_sigma_deg` of an assumed pitch or roll, `attitude_sigma_deg` of one from sensors."""
+    vertical datum. `focal_35mm`: focal length in 35 mm equivalent."""
 
     pitch_deg: float | None = None
     height_above_ground: float = 2.0
     geoid_undulation: float | None = None
     time_zone: tzinfo | None = None
-    gps_sigma: float = 5.0
-    altitude_sigma: float = 10.0
-    ground_sigma: float = 1.0
-    climb_sigma: float = 1.0
-    compass_sigma_deg: float = 8.2
-    tilt_sigma_deg: float = 3.0
-    attitude_sigma_deg: float = 1.0
     keep_unknown: bool = False
     start_height: float | None = None
     focal_35mm: float | None = None

@@ -20,6 +20,12 @@ from ltm_ros.recordings.importing.assumptions import Assumptions, Surroundings, 
 from ltm_ros.recordings.importing.intrinsics import intrinsics
 from ltm_ros.recordings.importing.photo import Photo, PhotoPose
 
+_GPS_SIGMA, _ALTITUDE_SIGMA, _GROUND_SIGMA, _CLIMB_SIGMA = 5.0, 10.0, 1.0, 1.0
+"""Standard deviations in metres: of positions and altitudes that state none, of heights above the terrain, and of
+barometric heights above the start."""
+_COMPASS_SIGMA_DEG, _TILT_SIGMA_DEG, _ATTITUDE_SIGMA_DEG = 8.2, 3.0, 1.0
+"""Standard deviations in degrees: of directions that state none (a median error of 5.5), of an assumed pitch or roll,
+and of one from sensors."""
 _SUSPECT_HEIGHT = 25.0
 _MAYBE_ELLIPSOIDAL = "if all photos have the same error, their altitudes are ellipsoidal: give --geoid-undulation-m"
 _NOT_PLACED = "so that it places nothing until a pose is found (ltm pose photo)"
@@ -88,7 +94,7 @@ class _Placing:
             why = f": {sensed.missing}" if sensed.missing else ""
             what = f"{self.photo.path} has no position in {sensed.source}{why}"
             raise PoseError(f"{what}; give it x, y or lon, lat in a pose file (--poses)")
-        self.found["position_sigma"] = sensed.position_sigma or self.assumed.gps_sigma
+        self.found["position_sigma"] = sensed.position_sigma or _GPS_SIGMA
         x, y = (float(value) for value in frame.from_lonlat(lon, lat))
         if not (math.isfinite(x) and math.isfinite(y)):
             raise PoseError(f"{self.photo.path}: position lon {lon}, lat {lat} lies outside the site's CRS {frame.crs}")
@@ -117,7 +123,7 @@ class _Placing:
                     return z
                 why = f"{what} {z:.1f} m is {ground - z:.1f} m under the terrain"
             self._refuse_in_flight(why)
-            above, self.found["height_sigma"] = self.assumed.height_above_ground, self.assumed.ground_sigma
+            above, self.found["height_sigma"] = self.assumed.height_above_ground, _GROUND_SIGMA
             if sensed is not None:
                 self.notes.append(f"{why}: {above:g} m above the terrain is assumed; {_MAYBE_ELLIPSOIDAL}")
             if self.sensed.altitude is None:
@@ -152,7 +158,7 @@ class _Placing:
         what = f"{sensed.source} altitude"
         if z > ground + _SUSPECT_HEIGHT:
             self.notes.append(f"{what} {z:.1f} m is {z - ground:.1f} m above the terrain: {_MAYBE_ELLIPSOIDAL}")
-        return z, sensed.altitude_sigma or self.assumed.altitude_sigma, what
+        return z, sensed.altitude_sigma or _ALTITUDE_SIGMA, what
 
     def _climbed(self) -> tuple[float, float, str] | None:
         """Return the height from the barometer, whose climb since the start is used, because of the weather.
@@ -163,7 +169,7 @@ class _Placing:
             return None
         what = f"{sensed.source} barometer's height"
         if assumed.start_height is not None:
-            return assumed.start_height + sensed.climb, assumed.climb_sigma, what
+            return assumed.start_height + sensed.climb, _CLIMB_SIGMA, what
         if sensed.walk is None or site.dem is None:
             return None
         lon, lat, climb = sensed.walk.T
@@ -172,7 +178,7 @@ class _Placing:
         if not len(starts):
             return None
         start = float(np.median(starts)) + assumed.height_above_ground
-        return start + sensed.climb, math.hypot(assumed.ground_sigma, assumed.climb_sigma), what
+        return start + sensed.climb, math.hypot(_GROUND_SIGMA, _CLIMB_SIGMA), what
 
     def azimuth_deg(self, place: tuple[float, float, float], taken: datetime) -> float:
         """Return the azimuth from grid north."""
@@ -189,7 +195,7 @@ class _Placing:
         if azimuth is None:
             what = f"{self.photo.path} has no direction in {sensed.source}"
             raise PoseError(f"{what}: give azimuth_deg in a pose file (--poses), or --refine")
-        self.found["azimuth_sigma_deg"] = self.assumed.compass_sigma_deg
+        self.found["azimuth_sigma_deg"] = _COMPASS_SIGMA_DEG
         if sensed.azimuth_ref == "M":
             return frame.magnetic_to_grid_deg(azimuth, x, y, taken.date(), z)
         if sensed.azimuth_ref is None:
@@ -200,16 +206,15 @@ class _Placing:
     def tilt(self) -> tuple[float, float]:
         """Return pitch and roll in degrees."""
         sensed, assumed = self.sensed, self.assumed
-        sigma, source = sensed.tilt_sigma_deg or assumed.attitude_sigma_deg, sensed.source
+        sigma, source = sensed.tilt_sigma_deg or _ATTITUDE_SIGMA_DEG, sensed.source
         pitch, roll = self.known.pitch_deg, self.known.roll_deg
         if pitch is None and sensed.pitch_deg is not None:
             pitch, self.found["pitch_sigma_deg"] = sensed.pitch_deg, sigma
         if roll is None and sensed.roll_deg is not None:
             roll, self.found["roll_sigma_deg"] = sensed.roll_deg, sigma
-        tilt_sigma = assumed.tilt_sigma_deg
         if pitch is None and assumed.pitch_deg is not None:
-            pitch, self.found["pitch_sigma_deg"] = assumed.pitch_deg, tilt_sigma
-            self.notes.append(f"pitch is unknown ({source} has none): {pitch:g} +- {tilt_sigma:g} deg is assumed")
+            pitch, self.found["pitch_sigma_deg"] = assumed.pitch_deg, _TILT_SIGMA_DEG
+            self.notes.append(f"pitch is unknown ({source} has none): {pitch:g} +- {_TILT_SIGMA_DEG:g} deg is assumed")
         if pitch is None and assumed.keep_unknown:
             pitch, self.found["pitch_sigma_deg"] = 0.0, UNKNOWN_PITCH_SIGMA_DEG
             self.notes.append(f"pitch is unknown (0 +- {UNKNOWN_PITCH_SIGMA_DEG:.0f} deg), {_NOT_PLACED}")
@@ -217,8 +222,8 @@ class _Placing:
             what = f"{self.photo.path}: its pitch is unknown ({source} has none)"
             raise PoseError(f"{what}: give pitch_deg in a pose file (--poses), --pitch-deg for all, or --refine")
         if roll is None:
-            roll, self.found["roll_sigma_deg"] = 0.0, tilt_sigma
-            self.notes.append(f"roll is unknown: 0 +- {tilt_sigma:g} deg is assumed")
+            roll, self.found["roll_sigma_deg"] = 0.0, _TILT_SIGMA_DEG
+            self.notes.append(f"roll is unknown: 0 +- {_TILT_SIGMA_DEG:g} deg is assumed")
         return pitch, roll
 
 

@@ -111,7 +111,7 @@ def test_columns_of_points(data: st.DataObject, count: int) -> None:
         name: data.draw(arrays(dtype, count))
         for name, dtype in (("x", np.float32), ("code", np.int16), ("form", np.uint8), ("t", np.float64))
     }
-    back = msg_to_columns(on_the_wire(columns_to_msg(given_columns, 1, "map")))
+    back = msg_to_columns(on_the_wire(columns_to_msg(given_columns, 1)))
     assert {name: column.tobytes() for name, column in back.items()} == {
         name: column.tobytes() for name, column in given_columns.items()
     }

@@ -142,7 +142,7 @@ def test_terrain_and_dates(recorded: DatedRun, tmp_path: Path) -> None:
         "shift": np.array([5, 5, 7, -2], np.float32),
     }
     with BagWriter(tmp_path / "dated") as bag:
-        bag.write("/ridge/terrain/update", columns_to_msg(columns, 7, "map"), 7)
+        bag.write("/ridge/terrain/update", columns_to_msg(columns, 7), 7)
         bag.write("/ridge/terrain/change", classes_to_msg(kinds, grid, 8), 8)
         bag.write("/ridge/terrain/info", String(data=json.dumps({"threshold": 1.5})), 8)
     with pytest.raises(RecordingError, match="after, before: give the bag's date with --date"):

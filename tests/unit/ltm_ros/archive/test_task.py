@@ -17,7 +17,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.frame_steps import LabellingConfig, TracingConfig
 from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.plan import Task, TaskSettings
-from ltm_ros.archive.task import TaskReport, on_workers
+from ltm_ros.archive.task import on_workers
 from ltm_ros.runtime.ros_environment import available_cores
 
 SETTINGS = TaskSettings("site.yaml", Path("out"), "code", TracingConfig(), LabellingConfig())
@@ -52,5 +52,5 @@ def test_a_worker_that_dies_between_two_tasks_is_replaced() -> None:
 def test_workers_leave_each_other_s_cores_alone() -> None:
     threads = max(1, available_cores() // 2)
     done = list(on_workers(2, thread_count)([task(n) for n in range(3)], SETTINGS))
-    assert [one.report for one in done] == 3 * [TaskReport(threads)]
+    assert [one.worked for one in done] == 3 * [threads]
     assert kernel_threads() == numba.config.NUMBA_NUM_THREADS

@@ -46,8 +46,6 @@ def test_late_and_lost_messages(tmp_path: Path) -> None:
     assert [f.stamp_ns // SECOND for f in everything] == [3, 4, 5]
     assert "depth" not in everything[1]
     assert everything[1].take("depth") is None
-    assert stream.counts["north", "labels"] == 3
-    assert stream.latencies_ms["north", "labels/image"] == [1000.0, 2000.0, 5000.0]
 
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from scenes.site_services import KEY, LAYERS, SiteServices, geotiff, grid, opened
+from scenes.site_services import KEY, LAYERS, SiteServices, area_around, geotiff, grid, opened
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.resources import project_path
@@ -21,7 +21,7 @@ from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import choose, load_sources
 from ltm_ros.site_setup.web import Web
 
-HERE = Area.around(-118.47, 34.09, 3000.0)
+HERE = area_around(-118.47, 34.09, 3000.0)
 PLAIN_FILE = b"A file of no service. " * 40_000
 
 
@@ -240,9 +240,9 @@ def fetch_from(kind: Kind, name: str, listed: list[Source], folder: Path) -> Non
 @pytest.mark.parametrize(
     ("area", "names"),
     [
-        (Area.around(-30.0, 20.0, 8000.0), "copernicus_glo30"),  # ocean
-        (Area.around(-118.47, 34.09, 1_000_000.0), "million|km2"),  # huge
-        (Area.around(-118.47, 34.09, 8000.0), "copernicus_glo30"),  # no tile on the server
+        (area_around(-30.0, 20.0, 8000.0), "copernicus_glo30"),  # ocean
+        (area_around(-118.47, 34.09, 1_000_000.0), "million|km2"),  # huge
+        (area_around(-118.47, 34.09, 8000.0), "copernicus_glo30"),  # no tile on the server
     ],
 )
 def test_an_area_without_a_source_names_the_reason_of_each(
@@ -270,7 +270,7 @@ def test_place_decides_the_source(
 ) -> None:  # fmt: skip
     keyed(monkeypatch)
     services.fuel_years = {2022: 1.0, 2024: 1.0}
-    area, (lon, lat) = Area.around(*place, 3000.0), place
+    area, (lon, lat) = area_around(*place, 3000.0), place
     west, south = int(np.floor(lon)), int(np.floor(lat))
     tile = geotiff(np.ones((360, 360), np.float32), "EPSG:4326", west, south + 1, 1 / 360)
     east_west, north_south = "we"[west >= 0], "sn"[south >= 0]

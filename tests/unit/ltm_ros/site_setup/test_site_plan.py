@@ -76,7 +76,7 @@ class Maker:
         name = "LC24_F40.tif" if fuel else "a.tif"
         file = write_plane(folder / name, plan.area, step, values, "int16" if fuel else "float32")
         vertical = None if fuel else self.vertical_crs
-        return Fetched((file,), self.name, self.licence, vertical, self.resolution_m, self.year, ("http://x/",), 1000)
+        return Fetched((file,), self.name, self.licence, vertical, self.year, ("http://x/",))
 
 
 @pytest.fixture

@@ -271,11 +271,11 @@ def test_a_phones_pose_is_as_sure_as_its_sensors(
     tmp_path: Path, site: Site, stated: float | None, sigma: float
 ) -> None:
     file = save(tmp_path / "a.jpg", phone(gps_31=stated))
-    import_photos([file], tmp_path / "bag", site=site, assumed=Assumptions(-4.0, tilt_sigma_deg=2.0))
+    import_photos([file], tmp_path / "bag", site=site, assumed=Assumptions(-4.0))
     ((_, _, pose, _),) = contents(tmp_path / "bag")
     covariance = covariance_of(tmp_path / "bag")
     assert covariance is not None
-    np.testing.assert_allclose(covariance, pose_covariance(pose, sigma, 10.0, 8.2, 2.0, 2.0), atol=1e-12)
+    np.testing.assert_allclose(covariance, pose_covariance(pose, sigma, 10.0, 8.2, 3.0, 3.0), atol=1e-12)
     assert np.degrees(np.sqrt(covariance[5, 5])) > 8
 
 
