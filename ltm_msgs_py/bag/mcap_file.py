@@ -102,14 +102,12 @@ class McapFile:
         self._channels[record.topic] = self._writer.register_channel(record.topic, "cdr", schema, metadata)
         self._note_chunks()
 
-    def write(
-        self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int, sequence: int, new: bool = True
-    ) -> None:
+    def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int, new: bool = True) -> None:
         """Append a message of an added topic; `new`: not repeated from an earlier file."""
         if self.first_ns is None:
             self.first_ns = log_time_ns
         self._waiting.append((topic, log_time_ns, new))
-        self._writer.add_message(self._channels[topic], log_time_ns, cdr, publish_time_ns, sequence)
+        self._writer.add_message(self._channels[topic], log_time_ns, cdr, publish_time_ns)
         self._note_chunks()
 
     def flush(self) -> None:

@@ -68,7 +68,6 @@ class BagWriter:
         self._library, self._before_file = library, before_file
         self._custom_data = dict(custom_data or {})
         self._topics: dict[str, TopicRecord] = {}
-        self._sequences: Counter[str] = Counter()
         self._latched: dict[str, tuple[bytes, int] | None] = {}
         self._finished: list[FileRecord] = []
         self._file: McapFile | None = None
@@ -161,11 +160,9 @@ class BagWriter:
             raise
         if topic in self._latched:
             self._latched[topic] = bytes(cdr), sent_ns
-        sequence = self._sequences[topic]
-        self._sequences[topic] += 1
         with self._ending_on_failure() as file:
             assert file is not None  # nosec B101 # tells the type checker what holds
-            file.write(topic, bytes(cdr), log_time_ns, sent_ns, sequence)
+            file.write(topic, bytes(cdr), log_time_ns, sent_ns)
 
     def flush(self) -> None:
         """Write the current chunk to the operating system: everything written so far survives a kill."""
@@ -220,7 +217,7 @@ class BagWriter:
             for topic, last in self._latched.items():
                 if last is not None:
                     cdr, sent_ns = last
-                    file.write(topic, cdr, log_time_ns, sent_ns, self._sequences[topic] - 1, new=False)
+                    file.write(topic, cdr, log_time_ns, sent_ns, new=False)
 
     @contextmanager
     def _ending_on_failure(self) -> Iterator[McapFile | None]:

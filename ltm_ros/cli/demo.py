@@ -30,13 +30,13 @@ def demo(
     """Run the live graph on a small recording; write a report, a fuel map and a Rerun recording to OUT."""
     clear_demo(out)
     with progress_bar("demo", loops=True) as progress:
-        result = run_demo(project_path("bags"), out, domain, progress, say)
-    print_nodes(result.nodes)
-    print_table("against truth", ("", ""), _score_rows(result.score))
+        nodes, score = run_demo(project_path("bags"), out, domain, progress, say)
+    print_nodes(nodes)
+    print_table("against truth", ("", ""), _score_rows(score))
     say(f"report: {out / 'report.html'}")
     shown = to_type(f"ltm view --rrd {out / 'demo.rrd'}")
     typer.echo(f"in Rerun: {shown}")  # on one line, to be copied
-    drops = sum(row.dropped for row in result.nodes)
+    drops = sum(row.dropped for row in nodes)
     if drops:
         say(f"{drops} messages were dropped; the table says where and why", "red")
         raise typer.Exit(1)

@@ -75,7 +75,7 @@ class ReportData:
     cameras: Sequence[CameraPictures] = ()
     fuel_map: RgbImage | None = None
     sheets: Sequence[Sheet] = ()
-    depth: Sequence[DepthScore] = ()
+    depth: DepthScore | None = None
     labels: SegmentationScore | None = None
     fuel: FuelScore | None = None
     label_set: ClassPalette | None = None
@@ -105,8 +105,6 @@ def render_report(data: ReportData) -> str:
         classes=list(zip(names, colors, strict=True)),
         range_legend=range_legend(900, data.scale),
         tiles=_tiles(data),
-        worst=max((score.median for score in data.depth if score.pixels), default=1.0) or 1.0,
-        bins=[(bin_name(score), score) for score in data.depth],
         fuel=_confusion(data.fuel.confusion, names) if data.fuel is not None else None,
         labels=_confusion(data.labels.confusion, names) if data.labels is not None else None,
     )
@@ -122,8 +120,8 @@ def _tiles(data: ReportData) -> list[tuple[str, str, str]]:
         slowest = max(latencies, key=lambda node: node.latency_p95_ms)
         remark = f"slowest node: {'/'.join(slowest.node.split('/')[-2:])}; without its first frames"
         tiles.append(("Latency of 95 % of frames", f"{shown(slowest.latency_p95_ms / 1000, 1)} s", remark))
-    if data.depth and (overall := data.depth[-1]).pixels:
-        tiles.append(("Depth error", f"{shown(overall.median)} m", f"median of {shown(overall.pixels)} pixels"))
+    if data.depth is not None and data.depth.pixels:
+        tiles.append(("Depth error", f"{shown(data.depth.median)} m", f"median of {shown(data.depth.pixels)} pixels"))
     if data.labels is not None and data.labels.pixels:
         tiles.append(("Correct labels", percent(data.labels.accuracy), f"mean IoU {percent(data.labels.mean_iou)}"))
     if (fuel := data.fuel) is not None:

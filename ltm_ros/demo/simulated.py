@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from ltm_core.base.errors import RecordingError
@@ -19,34 +18,20 @@ from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import camera_pictures, fuel_sheets, headings, map_picture, range_scale, write_pictures
 from ltm_ros.demo.report import ReportData, conditions, depth_table, fuel_maps_table, recording_facts, write_report
-from ltm_ros.demo.score import DepthRow, RunScore, score_run
+from ltm_ros.demo.score import RunScore, score_run
 from ltm_ros.fuel_map.export import write_landscapes
 from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, recorded_frames, recorded_votes
 from ltm_ros.recordings.replay.run import ReplayOptions, run_live
 from ltm_ros.runtime.health import NodeRow, node_rows
 
 
-@dataclass(frozen=True, eq=False)
-class DemoResult:
-    nodes: list[NodeRow]
-    score: RunScore
-    seconds: float
-
-    @property
-    def depth(self) -> DepthRow:
-        """Return the scores of the best available depth, against the visible surface."""
-        rows = {row.source: row for row in self.score.depth if row.against == "visible surface"}
-        if not rows:
-            raise RecordingError(f"{self.score.bag}: the graph published no depth")
-        return rows.get("fused") or rows["traced"]
-
-
 def run_demo(
     bags: Path, out: Path, domain_id: int | None, progress: Callable[[int, int], None], console: Callable[[str], None]
-) -> DemoResult:
+) -> tuple[list[NodeRow], RunScore]:
     """Replay `bags`/demo (site.yaml, recording/, fuel_truth.tif) live into `out`, which must be empty or new.
 
-    Leaves maps, landscapes, state/, recording/, demo.rrd, report.html and pictures/ there. Raises LtmError."""
+    Leaves maps, landscapes, state/, recording/, demo.rrd, report.html and pictures/ there; returns nodes and scores.
+    Raises LtmError."""
     demo = bags / "demo"
     site_path = demo / "site.yaml"
     site = load_site(site_path)
@@ -70,7 +55,7 @@ def run_demo(
         write_landscapes(evidence, site, out, state)
     recorded = Recorded(out / "recording", site_path, site, demo, demo / FUEL_TRUTH)
     score = score_run(recorded)
-    result = DemoResult(node_rows(summaries), score, seconds)
+    nodes = node_rows(summaries)
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
     shown = headings(recorded_frames(out / "recording", site))
     after = evidence.layers()
@@ -82,6 +67,7 @@ def run_demo(
     sheets = fuel_sheets(site, dem, before, after, coverage, shown, life_form_labels(labels))
     for name, sheet in sheets.items():
         (out / "pictures" / f"{name}.png").write_bytes(to_png(sheet.picture))
+    depth = {row.source: row.scores[-1] for row in score.depth if row.against == "visible surface"}
     data = ReportData(
         title="LTM demonstration",
         summary=(
@@ -92,11 +78,11 @@ def run_demo(
         ),
         facts=recording_facts(site, recorded),
         conditions=conditions(site, seconds, score.frames),
-        nodes=result.nodes,
+        nodes=nodes,
         cameras=camera_pictures(shown, labels, scale),
         fuel_map=fuel_map,
         sheets=list(sheets.values()),
-        depth=result.depth.scores,
+        depth=depth.get("fused", depth.get("traced")),
         labels=score.labels,
         fuel=score.fuel,
         label_set=labels,
@@ -115,4 +101,4 @@ def run_demo(
         ),
     )
     write_report(out / "report.html", data)
-    return result
+    return nodes, score

@@ -79,7 +79,7 @@ def full() -> ReportData:
         ],
         cameras=[CameraPictures("north", photo, photo, photo, "frame 1")],
         fuel_map=np.full((60, 80, 3), 200, np.uint8),
-        depth=score_depth([truth + 2.0], [truth]),
+        depth=score_depth([truth + 2.0], [truth])[-1],
         labels=pixels,
         fuel=FuelScore(5000, 100, 90, confusion),
         label_set=LABELS,
