@@ -178,6 +178,9 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
                     del own.worker
                 except (LtmError, OSError) as error:
                     return Done(task, 0, str(error))
+                except KeyboardInterrupt:  # Ctrl-C interrupts the workers, too; else this thread would begin a task
+                    threads.shutdown(wait=False, cancel_futures=True)
+                    raise
             why = "several workers died of it: out of memory, or an image that crashes the process"
             return Done(task, 0, why)
 

@@ -19,5 +19,12 @@ def full_disk_at_3(task: Task, settings: TaskSettings) -> int:
     return 1
 
 
+def interrupted_at_0(task: Task, settings: TaskSettings) -> int:
+    if task.key == "0":
+        raise KeyboardInterrupt
+    (settings.results / task.key).touch()
+    return 1
+
+
 def thread_count(task: Task, settings: TaskSettings) -> int:
     return kernel_threads()

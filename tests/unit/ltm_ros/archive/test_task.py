@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
-from scenes.archive_jobs import full_disk_at_3, thread_count
+from scenes.archive_jobs import full_disk_at_3, interrupted_at_0, thread_count
 
 from ltm_core.base.kernels import kernel_threads
 from ltm_core.geometry.camera import Camera
@@ -35,6 +36,13 @@ def test_errors_of_tasks_are_kept_and_the_others_end() -> None:
     done = list(on_workers(2, full_disk_at_3)([task(n) for n in range(6)], SETTINGS))
     assert {one.task.key for one in done} == set("012345")
     assert {one.task.key: one.error for one in done if one.error} == {"3": "the disk is full"}
+
+
+@pytest.mark.slow  # starts a process
+def test_an_interrupted_run_begins_no_further_task(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        list(on_workers(1, interrupted_at_0)([task(n) for n in range(3)], replace(SETTINGS, results=tmp_path)))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow  # starts processes
