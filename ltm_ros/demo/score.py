@@ -40,7 +40,10 @@ class DepthRow:
 
 @dataclass(eq=False)
 class RunScore:
-    """The scores of a recorded run; `lacking` lists what could not be scored, with the reason."""
+    """The scores of a recorded run; `lacking` lists what could not be scored, with the reason.
+
+    On the cells of `fuel`: `fuel_vote` of a majority vote over the same votes, `fuel_prior` of the prior map,
+    `fuel_changes`: detected and false changes."""
 
     bag: Path
     site: Site
@@ -50,11 +53,8 @@ class RunScore:
     labels: SegmentationScore | None = None
     fuel: FuelScore | None = None
     fuel_vote: FuelScore | None = None
-    """Scores of a majority vote over the same votes and cells."""
     fuel_prior: FuelScore | None = None
-    """Scores of the prior map on the same cells."""
     fuel_changes: MapScore | None = None
-    """Detected and false changes on the same cells."""
     lacking: list[str] = field(default_factory=list)
 
 

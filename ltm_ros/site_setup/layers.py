@@ -32,13 +32,7 @@ _UNITS = {"cover": "%", "height": "m x 10", "base_height": "m x 10", "bulk_densi
 
 @dataclass(frozen=True)
 class Layer:
-    """A raster of a site.
-
-    Args:
-        path: file or folder that was written.
-        described: resolution, source and year, for the site file and the terminal.
-        grid: its cells, in the site's CRS.
-        remarks: what may be wrong with it."""
+    """A raster of a site, in a file or folder. `described`: resolution, source and year. `remarks`: possible errors."""
 
     path: Path
     described: str

@@ -29,10 +29,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Area:
-    """A rectangle on the Earth.
-
-    Args:
-        bounds_lonlat: west, south, east and north, degrees."""
+    """A rectangle on the Earth: west, south, east and north, degrees."""
 
     bounds_lonlat: tuple[float, float, float, float]
 
@@ -131,40 +128,37 @@ class SourceConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Remote:
-    """A file on a server."""
+    """A file on a server. `version`: ETag, modification time, or empty. `ranges`: it is delivered in parts."""
 
     url: str
     size: int
     version: str
-    """ETag or modification time; empty if the server states neither."""
     ranges: bool
-    """Whether the server delivers parts of the file."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One file, or one window of a file, that a plan reads."""
+    """One file, or one window of a file, that a plan reads into the file `name`.
+
+    `remote`: the file on the server, if it exists before the request. `window`: first column, first row, columns and
+    rows; None: the whole file. `tile`: parts of one tile show the same ground; a later one is fetched only if the
+    former ones have holes."""
 
     url: str
     name: str
-    """File name of the result, without a folder."""
     expected_bytes: int
     remote: Remote | None = None
-    """The file on the server, if it exists before the request."""
     window: tuple[int, int, int, int] | None = None
-    """First column, first row, columns and rows; none: the whole file."""
     tile: str = ""
-    """Parts of one tile show the same ground; a later one is fetched only where the former ones have holes."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a source will fetch for an area."""
+    """What a source will fetch for an area. `notes`: for the user, such as why other sources are not used."""
 
     area: Area
     parts: tuple[Part, ...]
     notes: tuple[str, ...] = ()
-    """What the user should know before, such as other sources that were passed over."""
     year: int | None = None
 
     @property
@@ -175,14 +169,15 @@ class Plan:
 
 @dataclass(frozen=True)
 class Fetched:
-    """Rasters as a source delivered them: several files are tiles that join or overlap, in any CRS."""
+    """Rasters as a source delivered them: several files are tiles that join or overlap, in any CRS.
+
+    `vertical_crs`: of the heights, such as EPSG:5703 (NAVD88), EPSG:3855 (EGM2008) or EPSG:4979 (ellipsoidal).
+    `above_ground`: the values are canopy heights above the ground, not elevations."""
 
     files: tuple[Path, ...]
     source: str
     licence: str
     vertical_crs: str | None
-    """CRS of the heights, such as EPSG:5703 (NAVD88), EPSG:3855 (EGM2008) or EPSG:4979 (ellipsoidal)."""
     year: int | None
     urls: tuple[str, ...]
     above_ground: bool = False
-    """Whether the values are canopy heights above the ground and not elevations."""

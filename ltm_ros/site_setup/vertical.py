@@ -27,12 +27,8 @@ _EPOCH = 2010.0
 
 @dataclass(frozen=True)
 class Datum:
-    """A vertical datum.
-
-    Args:
-        name: for messages, such as NAVD88.
-        code: vertical CRS; of ellipsoidal heights the geographic CRS.
-        base: geographic CRS to whose ellipsoid PROJ relates the heights."""
+    """A vertical datum. `code`: its CRS, vertical, or geographic for ellipsoidal heights. `base`: geographic CRS to
+    whose ellipsoid PROJ relates the heights."""
 
     name: str
     code: str

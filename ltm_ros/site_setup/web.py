@@ -92,10 +92,8 @@ def only_writer(path: Path) -> Iterator[Any]:
 class Web:
     """HTTP client of the sources. Proxies are those of the environment (HTTPS_PROXY, NO_PROXY).
 
-    Args:
-        cache: folder for downloads.
-        first_pause_s: pause after the first failed attempt, seconds; it doubles with each further one.
-        timeout_s: time limit for a connection, and for each part of an answer, seconds."""
+    `cache`: folder for downloads. `first_pause_s`: after the first failed attempt; it doubles with each further one.
+    `timeout_s`: for a connection, and for each part of an answer."""
 
     def __init__(self, cache: Path | None = None, first_pause_s: float = 1.0, timeout_s: float = 90.0) -> None:
         self.cache = cache_folder() if cache is None else cache
