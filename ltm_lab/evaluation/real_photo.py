@@ -22,6 +22,7 @@ from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.tracing import TerrainTracer
+from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import camera_pictures, map_picture, range_scale, write_pictures
 from ltm_ros.demo.report import ReportData, Table, conditions, write_report
@@ -81,7 +82,8 @@ def run_real_demo(
     nodes = node_rows(summaries)
 
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
-    fuel_map = map_picture(classes, geometry, site, dem, frames, life_form_labels(labels))
+    views = [PosedCamera(frame.camera_name, frame.camera, frame.pose) for frame in frames]
+    fuel_map = map_picture(classes, geometry, site, dem, views, life_form_labels(labels))
     scale = range_scale(frames)
     write_pictures(out / "pictures", frames, fuel_map, labels, scale)
     write_report(

@@ -24,6 +24,7 @@ from ltm_core.pictures import (
 )
 from ltm_core.scoring.fuel import on_grid
 from ltm_core.scoring.labels import at_pixels_of
+from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
 from ltm_lab.evaluation.pictures.depth_sheet import depth_sheet
 from ltm_lab.evaluation.run_score import BagScore
@@ -157,5 +158,6 @@ def fuel_sheet(recorded: Recorded, seen: Sequence[ScoredView]) -> RgbImage | Non
     if recorded.life_forms is not None:
         maps.append(("truth", on_grid(*read_fuel_map(recorded.life_forms), geometry)))
     dem, palette = recorded.site.open_dem(), life_form_labels(labels)
-    cells = [(name, map_picture(ids, geometry, recorded.site, dem, seen, palette)) for name, ids in maps]
+    cameras = [PosedCamera(view.camera_name, view.camera, view.pose) for view in seen]
+    cells = [(name, map_picture(ids, geometry, recorded.site, dem, cameras, palette)) for name, ids in maps]
     return panel(cells, columns=len(cells), width=_WIDTH)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -14,15 +13,14 @@ from ltm_core.base.types import BoolArray, RgbImage, UInt8Array
 from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.codes import FuelSystem
 from ltm_core.fuel.decision import FuelLayers
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
 from ltm_core.pictures.fuel_maps import FuelCanvas, change_sheet, coverage_sheet, fuel_sheet
 from ltm_core.pictures.legend import UNLABELLED
 from ltm_core.pictures.maps import interesting_bounds
 from ltm_core.pipeline.site_fuel import provenance_of
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
+from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.report import CameraPictures, Sheet
 from ltm_ros.fuel_map.layers import canvas_of, seen_window
@@ -61,32 +59,21 @@ def camera_pictures(
     return drawn
 
 
-class PosedView(Protocol):
-    """A frame of a camera, with its pose in the map frame."""
-
-    @property
-    def camera_name(self) -> str: ...
-    @property
-    def camera(self) -> Camera: ...
-    @property
-    def pose(self) -> Pose: ...
-
-
 def map_picture(
     classes: UInt8Array,
     geometry: GridGeometry,
     site: Site,
     dem: Dem,
-    frames: Sequence[PosedView],
+    views: Sequence[PosedCamera],
     labels: LabelSet,
     changed: BoolArray | None = None,
 ) -> RgbImage:
     """Draw the known part of the fuel map over relief, with the cameras' sectors, and changed cells outlined."""
     cameras: list[pictures.MapCamera] = []
-    for frame in frames:
-        name = "" if any(camera.name == frame.camera_name for camera in cameras) else frame.camera_name
-        place = (float(frame.pose.position[0]), float(frame.pose.position[1]))
-        cameras.append(pictures.MapCamera(name, frame.camera, place, frame.pose.angles_deg[0]))
+    for view in views:
+        name = "" if any(camera.name == view.name for camera in cameras) else view.name
+        place = (float(view.pose.position[0]), float(view.pose.position[1]))
+        cameras.append(pictures.MapCamera(name, view.camera, place, view.pose.angles_deg[0]))
     grid = site.in_map(geometry)
     bounds = interesting_bounds(classes != UNLABELLED, grid, [c.position for c in cameras], dem.geometry)
     ground = Dem(dem.elevation, dem.geometry)

@@ -15,6 +15,7 @@ from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.site.networks import with_live_record
 from ltm_core.site.site_io import load_site
+from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.outcome import camera_pictures, fuel_sheets, headings, map_picture, range_scale, write_pictures
 from ltm_ros.demo.report import ReportData, conditions, depth_table, fuel_maps_table, recording_facts, write_report
@@ -59,7 +60,8 @@ def run_demo(
     classes, geometry = read_fuel_map(out / "fuel_map.tif")
     shown = headings(recorded_frames(out / "recording", site))
     after = evidence.layers()
-    fuel_map = map_picture(classes, geometry, site, dem, shown, life_form_labels(labels), after.changed)
+    views = [PosedCamera(frame.camera_name, frame.camera, frame.pose) for frame in shown]
+    fuel_map = map_picture(classes, geometry, site, dem, views, life_form_labels(labels), after.changed)
     scale = range_scale(shown)
     outlined = "Fuel map from all cameras. Outlined: changed cells."
     write_pictures(out / "pictures", shown, fuel_map, labels, scale, outlined)
