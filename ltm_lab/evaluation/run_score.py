@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,10 +12,20 @@ from ltm_core.vision.labels import Label
 from ltm_lab.evaluation.dated_run import DatedRun
 from ltm_lab.evaluation.metrics.skyline import SkylineScore, SkylineTally, depth_skyline, skyline
 from ltm_lab.evaluation.terrain_score import TerrainScore, score_terrain
+from ltm_msgs_py.bag.cdr import header_of
+from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.demo.score import DEPTH_SOURCES, RunScore, RunTally
-from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
+from ltm_ros.recordings.frame_stream import StreamedFrame
 from ltm_ros.recordings.recorded_run import image_shape
-from ltm_ros.runtime.topics import DEPTH_IMAGE, FUEL_VOTES, FUSED_DEPTH, LABELS_IMAGE, NETWORK_DEPTH, POSED_POSE
+from ltm_ros.runtime.topics import (
+    DEPTH_IMAGE,
+    FUEL_VOTES,
+    FUSED_DEPTH,
+    LABELS_IMAGE,
+    NETWORK_DEPTH,
+    POSED_POSE,
+    camera_topic,
+)
 
 _RESULTS = (POSED_POSE, DEPTH_IMAGE, NETWORK_DEPTH, FUSED_DEPTH, LABELS_IMAGE, FUEL_VOTES)
 
@@ -53,7 +64,7 @@ def score_bag(recorded: DatedRun) -> BagScore:
     wanted = {"truth": "truth_depth", "labels": "labels", **{f"depth, {name}": name for name in DEPTH_SOURCES}}
     score.lacking += [f"{name}: the bag has none" for name, part in wanted.items() if not stream.has(part)]
     score.skylines = [(name, line.score()) for name, line in lines.items() if line.score().columns]
-    score.latency = _latencies(stream)
+    score.latency = _latencies(recorded)
     measured = {name for name, _ in score.skylines}
     score.lacking += [f"skyline, {name}: no frame shows one" for name in ("traced", "labels") if name not in measured]
     if not score.latency:
@@ -75,11 +86,14 @@ def _add_skylines(lines: dict[str, SkylineTally], frame: StreamedFrame, image: t
         lines["labels"].add(skyline(sky), depth_skyline(surface), round(image[1] / surface.shape[1]))
 
 
-def _latencies(stream: FrameStream) -> list[LatencyRow]:
-    rows = []
-    results = [topic.name for topic in _RESULTS]
-    for (camera, topic), values in sorted(stream.latencies_ms.items()):
-        if topic in results and np.any(values):
+def _latencies(recorded: DatedRun) -> list[LatencyRow]:
+    site, rows, found = recorded.site, [], defaultdict[tuple[str, str], list[float]](list)
+    names = {camera_topic(site.name, name, topic): (name, topic.name) for name in site.cameras for topic in _RESULTS}
+    for message in BagReader(recorded.bag).messages(names):
+        stamp, _ = header_of(message.raw)
+        found[names[message.topic]].append((message.log_time_ns - stamp) / 1e6)
+    for (camera, topic), values in sorted(found.items()):
+        if np.any(values):
             p50, p95 = np.percentile(values, [50, 95])
             rows.append(LatencyRow(camera, topic, len(values), float(p50), float(p95), float(np.max(values))))
     return rows
