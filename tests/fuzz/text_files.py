@@ -60,6 +60,11 @@ def _shipped(*names: str) -> Callable[[Path], list[bytes]]:
     return lambda folder: [config_path(name).read_bytes() for name in names]
 
 
+def _records(folder: Path) -> list[bytes]:
+    models = config_path("models/landscape_v3.yaml").parent
+    return [path.read_bytes() for path in sorted((models / "reliability").glob("*.yaml"))]
+
+
 def _site(folder: Path) -> list[bytes]:
     content = yaml.safe_load(write_small_site(folder, recording=False).path.read_text())
     content |= {
@@ -160,7 +165,7 @@ TEXT_FILES = (
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
     _yaml("fuel_climate", _shipped("fuel/climates/dry.yaml"), lambda path: load_yaml(path, FuelClimate)),
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
-    _yaml("label_errors", _shipped("models/reliability/landscape_v3_054b76c865b7.yaml"), stated_errors),
+    _yaml("label_errors", _records, stated_errors),
     _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
     _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
     _yaml("picture", _texts(_PICTURE, _ABOVE), lambda path: set_up_picture(load_picture_config(path), _dem())),
