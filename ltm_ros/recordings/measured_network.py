@@ -81,20 +81,15 @@ def measure_network(
 def _on_recordings(
     model: str, site: Site, bags: Sequence[Path], head: str, progress: Callable[[int, int], None]
 ) -> label_errors.LabelErrors:
-    networks = {"own": model} if _is_default(model, head) else {"own": model, "known": DEFAULT_MODEL}
+    labels = {label_errors.labels_digest(NetworkManifest.find(name)) for name in (model, DEFAULT_MODEL)}
+    known = head == SHIPPED_LABEL_HEAD and len(labels) == 1  # it is the default network
+    networks = {"own": model} if known else {"own": model, "known": DEFAULT_MODEL}
     votes, steps = _votes(site, bags, networks, head, progress)
     reference = label_errors.known_errors(DEFAULT_MODEL)
     given = (reference, votes.get("known", votes["own"])) if reference.measured else None
     source = f"{len(votes['own'])} frames of site {site.name} against its prior map"
     source += "" if given is None else f" and the changes that {DEFAULT_MODEL} finds"
     return measured_errors(site, steps.geometry, steps.labels, votes["own"], source, given)
-
-
-def _is_default(model: str, head: str) -> bool:
-    default = NetworkManifest.find(DEFAULT_MODEL)
-    return head == SHIPPED_LABEL_HEAD and label_errors.labels_digest(
-        NetworkManifest.find(model)
-    ) == label_errors.labels_digest(default)
 
 
 def _votes(

@@ -31,7 +31,7 @@ _TILTED_DEG = 60.0
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedPhoto:
+class PlacedPose:
     """A pose in the map frame, with its camera. `problem`: why it is impossible; None if it is not."""
 
     name: str
@@ -67,12 +67,12 @@ class Placement:
             raise PoseError("the height above the ground needs a DEM that covers the camera; give --dem")
         return height
 
-    def placed(self, foreign: ForeignPose) -> PlacedPhoto:
+    def placed(self, foreign: ForeignPose) -> PlacedPose:
         """Return a pose on the terrain. Raises PoseError if its lens is unknown."""
         if foreign.camera is None:
             raise PoseError(f"{foreign.place}: no focal length is known; give --focal and --size or --photos")
         pose = foreign.pose(self.frame, self.ground, self.undulation)
-        return PlacedPhoto(foreign.name, pose, foreign.camera, self._problem(pose, foreign.camera))
+        return PlacedPose(foreign.name, pose, foreign.camera, self._problem(pose, foreign.camera))
 
     def _problem(self, pose: Pose, camera: Camera) -> str | None:
         _, pitch, roll = pose.angles_deg
@@ -95,7 +95,7 @@ class Placement:
                 return f"it looks {pitch:.0f} deg up, above all terrain, only at the sky"
         return None
 
-    def fit(self, placed: PlacedPhoto, photo: UInt8Array, labels: UInt8Array) -> SkylineFit | None:
+    def fit(self, placed: PlacedPose, photo: UInt8Array, labels: UInt8Array) -> SkylineFit | None:
         """Return the fit of a photo's skyline to the terrain's; None without a skyline or terrain."""
         if self.dem is None or photo.shape[:2] != (placed.camera.height, placed.camera.width):
             return None

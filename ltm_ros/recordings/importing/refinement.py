@@ -31,10 +31,9 @@ from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
 from ltm_ros.recordings.importing.georeference import PlacedPhoto
 
-LEAST_AGREEING = 4
-"""Minimum number of found poses that determine a compass error,"""
-MOST_SPREAD_DEG = 4.0
-"""and their maximum spread in degrees (1.48 median absolute deviation)."""
+LEAST_AGREEING, MOST_SPREAD_DEG = 4, 4.0
+"""Minimum number of found poses that determine a compass error, and their maximum spread in degrees (1.48 median
+absolute deviation)."""
 LEAST_SPREAD_DEG = 1.0
 
 
