@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -230,28 +229,10 @@ def test_photos_that_cannot_be_placed_are_named_and_no_bag_is_begun(
     assert len(contents(tmp_path / "bag")) == 1
 
 
-def _cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-
-
-@pytest.mark.parametrize(
-    ("name", "spoil", "complaint"),
-    [
-        ("a.jpg", _cut, "truncated"),
-        ("a.png", _cut, "cannot be read|corrupt|truncated"),
-        ("a.heic", _cut, "cannot be read|truncated"),
-        ("a.jpg", lambda p: p.write_bytes(b""), "is empty"),
-        ("a.jpg", lambda p: p.write_bytes(bytes(999)), "unsupported format"),
-        ("a.png", lambda p: Image.fromarray(picture()).save(p, "GIF"), "is GIF"),
-    ],
-)
-def test_files_that_are_no_whole_photo_are_refused(
-    tmp_path: Path, name: str, spoil: Callable[[Path], object], complaint: str
-) -> None:
-    path = save(tmp_path / name, phone())
-    spoil(path)
-    with pytest.raises(ImageError, match=f"{name}.*({complaint})"):
-        read_photo(path)
+def test_a_file_that_is_no_photo_is_refused(tmp_path: Path) -> None:
+    Image.fromarray(picture()).save(tmp_path / "a.png", "GIF")
+    with pytest.raises(ImageError, match=r"a\.png is GIF"):
+        read_photo(tmp_path / "a.png")
 
 
 def covariance_of(bag: Path) -> Float64Array | None:
