@@ -16,7 +16,7 @@ from pydantic import Field as NumberField
 from pydantic import ValidationError
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel, problem_text
 from ltm_core.geometry.grid import GridGeometry
 
 Key = tuple[int, int]
@@ -94,8 +94,8 @@ class StoreSchema:
         try:
             content = _Description.model_validate_json(text)
         except ValidationError as error:
-            found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
-            raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
+            found = f"{text[:120]!r} ({problem_text(error)})"
+            raise ConfigError(f"{place}: its description cannot be read: {found}; restore it from a copy") from error
         fields = {name: Field(np.dtype(dtype), tuple(shape)) for name, (dtype, shape) in content.fields.items()}
         geometry = GridGeometry(**asdict(content.geometry))
         schema = cls(content.kind, content.version, geometry, content.tile, fields, content.terms)
