@@ -71,12 +71,6 @@ class StoreSchema:
     fields: Mapping[str, Field]
     terms: str = ""
 
-    def __post_init__(self) -> None:
-        if self.tile < 1 or not self.fields:
-            raise ConfigError(
-                f"a tile store needs tiles of at least one cell and a field, got {self.tile}, {self.fields}"
-            )
-
     @property
     def tiles(self) -> tuple[int, int]:
         """Return the rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
