@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from ltm_core.base.errors import ConfigError
@@ -21,6 +21,14 @@ class StrictModel(BaseModel):
     """Base class of the parts of a YAML file: unknown keys are errors, and values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False)
+
+
+def problem_text(error: ValueError) -> str:
+    """Return an error in one line; of a model, the first three invalid values with their places."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    found = [(".".join(map(str, e["loc"])), e["msg"].removeprefix("Value error, ")) for e in error.errors()[:3]]
+    return "; ".join(f"{place}: {text}" if place else text for place, text in found)
 
 
 def beside(value: _T, folder: Path) -> _T:

@@ -72,7 +72,7 @@ class SamplingConfig(StrictModel):
 
 
 class RegressionConfig(StrictModel):
-    """Straight line through most samples (`robust_regression`)."""
+    """Straight line through most samples (`scale_fit`)."""
 
     trials: int = chosen(128, "Number of pairs tried; 45 % outliers spoil all once in 10^19.", ge=1)
     scored: int = chosen(800, "Number of evenly spaced points that score the trials.", ge=8)
@@ -83,7 +83,7 @@ class RegressionConfig(StrictModel):
 
 
 class ScaleConfig(StrictModel):
-    """Scale and shift of a network's depth (`scale_fit`, `robust_regression`)."""
+    """Scale and shift of a network's depth (`scale_fit`)."""
 
     least_samples: int = chosen(50, "Minimum number of samples of trustworthy ground for a scale.")
     least_positive: float = chosen(0.9, "Minimum share of positive values for a line without a shift.")
@@ -114,7 +114,7 @@ class ErrorModelConfig(StrictModel):
 
 
 class UpsamplingConfig(StrictModel):
-    """Alignment of a network's depth with the photo's edges (`guided_filter`)."""
+    """Alignment of a network's depth with the photo's edges (`guided_upsampling`)."""
 
     radius: int = chosen(1, "Radius of the windows in pixels of the network.")
     edge: float = chosen(12.0, "Contrast in 8-bit steps above which a change of grey is an edge.")
@@ -146,7 +146,7 @@ class OcclusionConfig(StrictModel):
 
 
 class DecisionConfig(StrictModel):
-    """Choice between terrain and network for each pixel (`pixel_fusion`, `fusion_rows`)."""
+    """Choice between terrain and network for each pixel (`pixel_fusion`)."""
 
     disagree: float = chosen(0.4, "Squared standard deviations above which a disagreement is examined.")
     agree: float = chosen(9.0, "Squared standard deviations up to which both depths are averaged.")
@@ -183,7 +183,7 @@ class PoseCheckConfig(StrictModel):
 
 
 class FusionConfig(StrictModel):
-    """All constants of TopoDepth's fusion. Sigmas of the inputs are in `topodepth.FusionSettings`."""
+    """All constants of TopoDepth's fusion. Sigmas of the inputs are in `expected_surface.FusionSettings`."""
 
     pose_check: PoseCheckConfig = PoseCheckConfig()
     cover: CoverConfig = CoverConfig()

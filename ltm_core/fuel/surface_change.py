@@ -20,9 +20,8 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import Key
 from ltm_core.storage.tile_store_schema import Tile
 from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.layers import UNSEEN
 
-UNSEEN: Final = 255
-"""Value in a grid of changes for cells that independent views have not seen."""
 SOURCE: Final = "terrain"
 """Name under which the store records the source of a change; no camera may have it."""
 LEAST_SHARE: Final = 0.25
@@ -35,7 +34,7 @@ _CHANGES: Final = (ChangeKind.REMOVED, ChangeKind.GROWN, ChangeKind.LOWERED)
 _CODES: Final = 1000
 """Factor of the recorded number of a cell: its kind of change times this, plus the initial code (0: its own)."""
 _KEPT: Final = ("seen_by", "last_seen", "burned_at")
-"""Fields of a cell's state that are reset when its cover is no longer known."""
+"""Fields of a cell's state that stay when its cover is no longer known."""
 
 
 class LivingFuelMap(EvidenceMap):

@@ -40,14 +40,12 @@ class RangeImage:
         _require_shape("range", self.range, self.camera)
 
     @classmethod
-    def from_depth(
-        cls, depth: Float32Array, camera: Camera, pose: Pose, bend: float = 0.0, geometry: GridGeometry | None = None
-    ) -> RangeImage:
+    def from_depth(cls, depth: Float32Array, camera: Camera, pose: Pose, bend: float = 0.0) -> RangeImage:
         """Return the range image of depths along the optical axis (REP-118), (H, W) metres; the inverse of
         `depth()`."""
         _require_shape("depth", depth, camera)
         slant = (depth / camera.cosines()).astype(np.float32, copy=False)
-        return cls(slant, camera, pose, bend, geometry)
+        return cls(slant, camera, pose, bend)
 
     def depth(self) -> Float32Array:
         """Return the distance along the optical axis, (H, W) metres (REP-118)."""

@@ -209,7 +209,8 @@ class LabellingStep:
         self._prompt: tuple[str, Segmenter] | None = None
         self._segmenter = site_segmenter(site, camera, config.model, config.threads)
         network = label_network(site, config.model or site.model)
-        self._reliability = known_errors(network, own.label_head, site.label_heads).state
+        self.reliability = known_errors(network, own.label_head, site.label_heads).state
+        """What the labels were measured on (`LabelErrors.state`)."""
         chosen = config.model_dump(include={"confidence", "tree_contrast"}, exclude_none=True)
         self._segmenter.withdraw_otherwise = chosen
 
@@ -217,11 +218,6 @@ class LabellingStep:
     def described(self) -> str:
         """Return the name and checksum of the label network."""
         return self._segmenter.described
-
-    @property
-    def reliability(self) -> str:
-        """Return what the labels were measured on (`LabelErrors.state`)."""
-        return self._reliability
 
     @property
     def manifest(self) -> NetworkManifest:

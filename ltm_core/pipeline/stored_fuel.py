@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -98,14 +98,10 @@ def votes_of(frame: FrameRecord, geometry: GridGeometry) -> CellVotes:
         confidence = np.ascontiguousarray(table["confidence"]) if "confidence" in names else None
         visibility = None
         if _VISIBILITY[0] in names:
-            visibility = CellVisibility(*_columns(table, _VISIBILITY))
+            visibility = CellVisibility(*(np.ascontiguousarray(table[name]) for name in _VISIBILITY))
         return CellVotes(geometry, row, col, counts, z, frame.stamp_ns, frame.source, confidence, visibility)
     except (ValueError, IndexError, TypeError) as error:
         raise ConfigError(f"{what} is damaged ({error}); restore the store from a copy") from error
-
-
-def _columns(table: NDArray[Any], names: Iterable[str]) -> list[NDArray[Any]]:
-    return [np.ascontiguousarray(table[name]) for name in names]
 
 
 class SurfaceMoves:

@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import os
 import sqlite3
-import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -84,7 +83,7 @@ def create_store(path: Path, schema: StoreSchema) -> None:
 
 def open_store(path: Path, read_only: bool) -> tuple[sqlite3.Connection, StoreSchema]:
     """Open a sound store; return the connection and its schema."""
-    _check_header(path)
+    check_header(path, APPLICATION_ID, LAYOUT, "store")
     with named_errors(str(path)):
         db = sqlite3.connect(
             f"{path.resolve().as_uri()}?mode={'ro' if read_only else 'rw'}",
@@ -123,24 +122,26 @@ def check_tables(db: sqlite3.Connection, path: Path, tables: str) -> None:
         raise ConfigError(f"{path}: the store is damaged: unexpected tables ({names}); restore it")
 
 
-def _check_header(path: Path) -> None:
-    """Check that a file is ours before SQLite opens and perhaps changes it. Raises ConfigError, StoreError."""
+def check_header(path: Path, application: int, layout: int, what: str, begun: bool = False) -> None:
+    """Check that a file is ours before SQLite opens and perhaps changes it. `begun`: it may also be missing or empty,
+    or name no program yet, as until its first transaction is whole. Raises ConfigError, StoreError."""
     try:
         with path.open("rb") as file:
             header = file.read(100)
     except FileNotFoundError as error:
-        raise ConfigError(f"{path}: no such store") from error
+        if begun:
+            return
+        raise ConfigError(f"{path}: no such {what}") from error
     except OSError as error:
         raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
-        raise ConfigError(f"{path}: not a tile store; it was not changed. Move it away or name another file")
-    layout, application = struct.unpack(">I", header[60:64])[0], struct.unpack(">I", header[68:72])[0]
-    if application != APPLICATION_ID:
-        raise ConfigError(f"{path}: an SQLite file of another program; it was not changed. Name another file")
-    if layout != LAYOUT:
-        raise ConfigError(
-            f"{path}: a store of layout {layout}, this release reads {LAYOUT}; use the release that wrote it"
-        )
+    if begun and not header:
+        return
+    program, stated = (int.from_bytes(header[place : place + 4], "big") for place in (68, 60))
+    ours = (application, 0) if begun else (application,)
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0") or program not in ours:
+        raise ConfigError(f"{path}: not an LTM {what}; it was not changed. Move it away or name another place")
+    if stated not in ((layout, 0) if begun else (layout,)):
+        raise ConfigError(f"{path}: {what} of layout {stated}, this release reads {layout}; use that which wrote it")
 
 
 @contextlib.contextmanager

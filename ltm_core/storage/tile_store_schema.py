@@ -16,7 +16,7 @@ from pydantic import Field as NumberField
 from pydantic import ValidationError
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel, problem_text
 from ltm_core.geometry.grid import GridGeometry
 
 Key = tuple[int, int]
@@ -71,12 +71,6 @@ class StoreSchema:
     fields: Mapping[str, Field]
     terms: str = ""
 
-    def __post_init__(self) -> None:
-        if self.tile < 1 or not self.fields:
-            raise ConfigError(
-                f"a tile store needs tiles of at least one cell and a field, got {self.tile}, {self.fields}"
-            )
-
     @property
     def tiles(self) -> tuple[int, int]:
         """Return the rows and columns of tiles that cover the grid; those at its south and east edges reach over it."""
@@ -94,8 +88,8 @@ class StoreSchema:
         try:
             content = _Description.model_validate_json(text)
         except ValidationError as error:
-            found = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:3])
-            raise ConfigError(f"{place}: its description cannot be read: {text[:120]!r} ({found})") from error
+            found = f"{text[:120]!r} ({problem_text(error)})"
+            raise ConfigError(f"{place}: its description cannot be read: {found}; restore it from a copy") from error
         fields = {name: Field(np.dtype(dtype), tuple(shape)) for name, (dtype, shape) in content.fields.items()}
         geometry = GridGeometry(**asdict(content.geometry))
         schema = cls(content.kind, content.version, geometry, content.tile, fields, content.terms)

@@ -79,7 +79,6 @@ def add_labels(
 _WIDEST_WINDOW = 24
 """Maximum window in pixels; if a pose is so uncertain that a silhouette may lie further off, silhouettes carry no
 information."""
-_IMAGES = ("depth", "sigma", "measured", "labels", "stable")
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +131,9 @@ class DepthFrame:
         return cls(depth, sigma, measured, own, pose, stamp_ns, source, covariance, small, None, full_labels)
 
     def __post_init__(self) -> None:
-        images = {
-            name: (getattr(self, name), self.camera) for name in ("depth", "sigma", "measured", "labels", "stable")
-        }
-        for name, (array, camera) in (images | {"full label": self.full_labels or (None, self.camera)}).items():
+        names = ("depth", "sigma", "measured", "labels", "stable")
+        images = [(name, getattr(self, name), self.camera) for name in names]
+        for name, array, camera in [*images, ("full label", *(self.full_labels or (None, self.camera)))]:
             shape = (camera.height, camera.width)
             if array is not None and array.shape != shape:
                 raise ImageError(f"{name} image of {array.shape} does not fit a camera of {shape} (rows, columns)")

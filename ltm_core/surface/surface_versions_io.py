@@ -17,9 +17,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from ltm_core.base.errors import RasterError, StoreError
+from ltm_core.base.strict_model import problem_text
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
-from ltm_core.storage.disk_io import is_there, sync
+from ltm_core.storage.disk_io import sync
 from ltm_core.surface.confirmed_surface import AS_GIVEN, KEPT, ConfirmedSurface, SurfaceManifest, SurfaceVersion
 
 FOLDER = "surfaces"
@@ -43,13 +44,15 @@ class SurfaceVersions:
         """Return the manifest, empty if there is none yet. Raises StoreError if it cannot be read or is of another
         site."""
         path = self.folder / MANIFEST
-        if not is_there(path):
-            return SurfaceManifest(site=self.site)
         try:
             found = SurfaceManifest.model_validate_json(_read(path, _MOST_MANIFEST))
         except ValidationError as error:
-            problem = f"{path}: cannot be read as a list of surfaces ({error}); move the folder away"
+            problem = f"{path}: cannot be read as a list of surfaces ({problem_text(error)}); move the folder away"
             raise StoreError(problem) from error
+        except StoreError as error:
+            if isinstance(error.__cause__, FileNotFoundError):
+                return SurfaceManifest(site=self.site)
+            raise
         if found.site != self.site:
             raise StoreError(f"{path} is of site {found.site}, not {self.site}: give each site its own folder")
         return found

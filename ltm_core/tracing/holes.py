@@ -20,6 +20,8 @@ from ltm_core.base.kernels import helper, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int64Array
 
 _DIAGONAL = float(np.sqrt(2.0))
+_ROWS = 256
+"""Number of rows searched at a time; masks of a whole raster would take as much memory as its heights."""
 
 
 class Holes(NamedTuple):
@@ -82,9 +84,14 @@ def in_outer_hole(nodes: Float32Array, holes: Holes, at: int) -> bool:
 
 def _runs(elevation: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
     """Return the row, first column and one past the last column of each run of NaN, row after row."""
-    edges = np.diff(np.isnan(elevation).view(np.int8), axis=1, prepend=np.int8(0), append=np.int8(0))
-    row, first = np.nonzero(edges == 1)
-    return row, first, np.nonzero(edges == -1)[1]
+    parts = []
+    for top in range(0, len(elevation), _ROWS):
+        unknown = np.isnan(elevation[top : top + _ROWS]).view(np.int8)
+        edges = np.diff(unknown, axis=1, prepend=np.int8(0), append=np.int8(0))
+        row, first = np.nonzero(edges == 1)
+        parts.append((top + row, first, np.nonzero(edges == -1)[1]))
+    row, first, end = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return row, first, end
 
 
 def _joined(row: Int64Array, first: Int64Array, end: Int64Array, width: int) -> Int64Array:

@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 from pydantic import Field, ValidationError
 
 from ltm_core.base.errors import MessageError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel, problem_text
 from ltm_core.geometry.grid import GridGeometry
 
 VERSION: Final = 1
@@ -163,5 +163,4 @@ def _parsed(kind: type[HeaderT], content: bytes, what: str) -> HeaderT:
     try:
         return kind.model_validate_json(content)
     except ValidationError as error:
-        found = "; ".join(f"{'.'.join(map(str, e['loc'])) or what}: {e['msg']}" for e in error.errors()[:3])
-        raise MessageError(f"invalid {what} of an envelope: {found}") from error
+        raise MessageError(f"invalid {what} of an envelope: {problem_text(error)}") from error

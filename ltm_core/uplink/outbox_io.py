@@ -13,7 +13,14 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from ltm_core.base.errors import ConfigError, StoreError
-from ltm_core.storage.tile_store_file import LARGEST_VALUE, check_tables, lock_store, named_errors, transaction
+from ltm_core.storage.tile_store_file import (
+    LARGEST_VALUE,
+    check_header,
+    check_tables,
+    lock_store,
+    named_errors,
+    transaction,
+)
 
 APPLICATION_ID: Final = 0x4C544D42  # "LTMB"
 LAYOUT: Final = 1
@@ -179,7 +186,7 @@ class Outbox:
 
     def _opened(self) -> sqlite3.Connection:
         """Return a sound database; a damaged one is put aside, for what it held cannot be sent."""
-        _check_header(self._path)
+        check_header(self._path, APPLICATION_ID, LAYOUT, "outbox", begun=True)
         try:
             return _connect(self._path)
         except ConfigError as error:
@@ -215,22 +222,3 @@ def _connect(path: Path) -> sqlite3.Connection:
             db.close()
             raise
     return db
-
-
-def _check_header(path: Path) -> None:
-    """Check a file before SQLite changes it. Until the first transaction is whole, its header names no program. Raises
-    ConfigError for a file of another program or release, StoreError."""
-    try:
-        with path.open("rb") as file:
-            header = file.read(100)
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror})") from error
-    application, layout = (int.from_bytes(header[place : place + 4], "big") for place in (68, 60))
-    if header and not (header.startswith(b"SQLite format 3\0") and application in (0, APPLICATION_ID)):
-        raise ConfigError(f"{path}: not an outbox; it was not changed. Move it away or name another folder")
-    if layout not in (0, LAYOUT):
-        raise ConfigError(
-            f"{path}: an outbox of layout {layout}, this release reads {LAYOUT}; use the release that wrote it"
-        )

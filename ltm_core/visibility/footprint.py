@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,16 +9,6 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
-
-
-@dataclass(frozen=True, eq=False)
-class Footprints:
-    """`along`, `across`: (N,) metres, extents of a pixel's parallelogram on the ground, away from the camera and
-    sideways; +inf where the ground faces away, NaN where it is not known. `area`: (N,) square metres."""
-
-    along: Float64Array
-    across: Float64Array
-    area: Float64Array
 
 
 def ground_normals(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
@@ -60,9 +48,10 @@ def sideways(directions: Float64Array) -> Float64Array:
 
 def ground_footprints(
     camera: Camera, pose: Pose, points: Float64Array, normals: Float64Array, bend: float
-) -> Footprints:
-    """Return the footprints of the pixels that see the ground points (N, 3) with upward normals (N, 3), by the inverse
-    of the projection's Jacobian over the plane at each point."""
+) -> Float64Array:
+    """Return the longer extent, (N,) metres, away from the camera or sideways, of the pixels that see the ground points
+    (N, 3) with upward normals (N, 3): by the inverse of the projection's Jacobian over the plane at each point. +inf if
+    the ground faces away, NaN if it is not known."""
     arriving = arrival_directions(pose.position, points, bend)
     # Axes in the ground's plane: b sideways, a away from the camera.
     b = sideways(arriving)
@@ -78,13 +67,9 @@ def ground_footprints(
     per_b = (pixels(points + step * b) - pixels(points - step * b)) / (2 * step)
     with np.errstate(divide="ignore", invalid="ignore"):
         determinant = np.abs(per_a[:, 0] * per_b[:, 1] - per_a[:, 1] * per_b[:, 0])
-        along = (np.abs(per_b[:, 0]) + np.abs(per_b[:, 1])) / determinant
-        across = (np.abs(per_a[:, 0]) + np.abs(per_a[:, 1])) / determinant
-        area = 1 / determinant
-    away = np.sum(arriving * normals, axis=-1) >= 0
-    for values in (along, across, area):
-        values[away & ~np.isnan(values)] = np.inf
-    return Footprints(along, across, area)
+        longer = np.maximum(np.abs(per_a).sum(axis=1), np.abs(per_b).sum(axis=1)) / determinant
+    longer[(np.sum(arriving * normals, axis=-1) >= 0) & ~np.isnan(longer)] = np.inf
+    return np.asarray(longer, np.float64)
 
 
 def line_of_sight_vectors(origin: ArrayLike, points: ArrayLike, bend: float) -> Float64Array:

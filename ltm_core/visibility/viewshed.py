@@ -135,8 +135,7 @@ def _from_one(
     if all_round:
         size[seen] = _turned_footprint(view.camera, position, places[seen], normals[seen], sight.bend)
     else:
-        prints = ground_footprints(view.camera, view.pose, places[seen], normals[seen], sight.bend)
-        size[seen] = np.maximum(prints.along, prints.across)
+        size[seen] = ground_footprints(view.camera, view.pose, places[seen], normals[seen], sight.bend)
     return seen, size, least
 
 

@@ -21,6 +21,7 @@ from pydantic.dataclasses import dataclass
 from pyproj import Transformer
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.strict_model import problem_text
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.raster.geopackage_io import read_points
@@ -86,9 +87,13 @@ class Plan:
         return sorted(path.stem for path in (self.folder / "answers").glob("*.csv"))
 
     def learned(self) -> frozenset[int]:
-        """Return the cells that the network has learned from; they must not count in a report."""
+        """Return the cells that the network has learned from; they must not count in a report. Raises
+        ConfigError for an invalid file."""
         path = self.folder / "learned.csv"
-        return frozenset(int(row["cell"]) for row in _rows(path, ("cell",))) if path.exists() else frozenset()
+        try:
+            return frozenset(int(row["cell"]) for row in _rows(path, ("cell",))) if path.exists() else frozenset()
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}; run `ltm assess learn` again") from error
 
 
 def read_plan(folder: Path) -> Plan:
@@ -169,7 +174,7 @@ def _records(path: Path, kind: type[_Row], remedy: str) -> list[_Row]:
             if record.cell in found:
                 raise ValueError(f"cell {record.cell} is listed twice")
         except ValueError as error:
-            raise ConfigError(f"{path}: line {number}: {error}; {remedy}") from error
+            raise ConfigError(f"{path}: line {number}: {problem_text(error)}; {remedy}") from error
         found[record.cell] = record
     return list(found.values())
 

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel, problem_text
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.pictures import to_jpeg
@@ -125,7 +125,7 @@ class LookSession:
         try:
             answer = Answer(cell, given.life_form, given.certainty, round(given.seconds, 1), now)
         except ValueError as error:
-            raise ConfigError(str(error)) from error
+            raise ConfigError(problem_text(error)) from error
         with self._lock:
             answers = self._answers | {cell: answer}
             write_answers(self._file, answers.values())

@@ -10,10 +10,11 @@ import numpy as np
 from ltm_core.base.errors import MessageError
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.evidence import Window
-from ltm_core.fuel.surface_change import SOURCE, UNSEEN
+from ltm_core.fuel.surface_change import SOURCE
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.stored_fuel import SurfaceMoves, take_news
 from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.layers import UNSEEN
 from ltm_msgs_py.cells import msg_to_changed
 from ltm_msgs_py.grid import msg_to_classes, tile_window
 from ltm_msgs_py.stamp import stamp_of

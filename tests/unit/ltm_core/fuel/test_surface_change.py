@@ -8,10 +8,11 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.surface_change import UNSEEN, LivingFuelMap, SurfaceNews, form_after, news_of, record
+from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, form_after, news_of, record
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import ChangeKind
+from ltm_core.surface.layers import UNSEEN
 from ltm_core.vision.labels import LabelSet
 
 pytestmark = pytest.mark.kernel

@@ -57,9 +57,9 @@ def test_store_of_another_map_is_refused_and_left_alone(tmp_path: Path, change: 
 @pytest.mark.parametrize(
     ("make", "complaint"),
     [
-        (lambda path: path.write_bytes(b""), "not a tile store"),
-        (lambda path: path.write_text("dear diary " * 50), "not a tile store"),
-        (foreign_database, "another program"),
+        (lambda path: path.write_bytes(b""), "not an LTM store"),
+        (lambda path: path.write_text("dear diary " * 50), "not an LTM store"),
+        (foreign_database, "not an LTM store"),
         (later_layout, "layout 2, this release reads 1"),
     ],
 )

@@ -105,7 +105,14 @@ def test_a_file_that_is_not_what_was_written_is_refused(versions: SurfaceVersion
 def test_a_broken_manifest_is_told(versions: SurfaceVersions, text: str) -> None:
     versions.add(felled(101.0), 1_000, 9)
     (versions.folder / MANIFEST).write_text(text)
-    with pytest.raises(StoreError, match="cannot be read as a list of surfaces"):
+    with pytest.raises(StoreError, match="cannot be read as a list of surfaces") as raised:
+        versions.manifest()
+    assert "\n" not in str(raised.value)
+
+
+def test_a_folder_that_cannot_be_read_is_no_empty_one(versions: SurfaceVersions) -> None:
+    versions.folder.write_text("a file")
+    with pytest.raises(StoreError, match=MANIFEST):
         versions.manifest()
 
 

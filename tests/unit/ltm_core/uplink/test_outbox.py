@@ -100,7 +100,7 @@ def test_a_second_process_is_refused_and_another_programs_file_stays(tmp_path: P
         other.execute("PRAGMA application_id = 77")
         other.execute("CREATE TABLE mine (x)")
     before = (tmp_path / "other.sqlite").read_bytes()
-    with pytest.raises(ConfigError, match="not an outbox"):
+    with pytest.raises(ConfigError, match="not an LTM outbox"):
         Outbox(tmp_path / "other.sqlite", 1, 1.0)
     assert (tmp_path / "other.sqlite").read_bytes() == before
     with pytest.raises(ConfigError, match="create it first"):

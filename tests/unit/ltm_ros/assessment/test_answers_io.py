@@ -62,8 +62,15 @@ def test_answers_come_back_as_they_were(tmp_path: Path) -> None:
 def test_an_invalid_line_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(f"cell,life_form,certainty,seconds,time\n{line}\n")
-    with pytest.raises(ConfigError, match=r"a\.csv"):
+    with pytest.raises(ConfigError, match=r"a\.csv") as raised:
         read_answers(path)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_damaged_list_of_learned_cells_is_named(plan: Plan) -> None:
+    (plan.folder / "learned.csv").write_text("cell\nx\n")
+    with pytest.raises(ConfigError, match=r"learned\.csv"):
+        plan.learned()
 
 
 def geopackage(path: Path, plots: list[tuple[float, float, str, str]]) -> None:

@@ -34,7 +34,7 @@ from ltm_core.vision.labels import LabelSet
 GRID = GridGeometry(531_783.25, 4_280_398.25, 30.0, 37, 29, "EPSG:32610")
 MADE = Provenance(
     "ridge <1>", "2026-05-31T18:04:05+00:00", 1073, 0.25, 0.0125, "LC22_F40_230.tif", "LANDFIRE 2022, version 2.3.0",
-    "dry", FuelSystem.FBFM40, "ltm 0.1.0", "7 cells have the elevations of the prior map", labels="unmeasured",
+    "dry", FuelSystem.FBFM40, "ltm 0.1.0", "7 cells with a code have no elevation and are nodata", labels="unmeasured",
 )  # fmt: skip
 EXPECTED = {
     "site": "ridge <1>",
@@ -47,7 +47,7 @@ EXPECTED = {
     "fuel_region": "dry",
     "fuel_system": "fbfm40",
     "software": "ltm 0.1.0",
-    "terrain": "7 cells have the elevations of the prior map",
+    "terrain": "7 cells with a code have no elevation and are nodata",
     "labels": "unmeasured",
     "TIFFTAG_SOFTWARE": "ltm 0.1.0",
     "TIFFTAG_DATETIME": "2026:05:31 18:04:05",
