@@ -36,7 +36,7 @@ class HandlerNode(OutletNode):
 
     def __init__(self, node_type: NodeType[ConfigT]) -> None:
         super().__init__(node_type)
-        self._last_tick = time.monotonic()
+        self._last_tick, self._tick_waits = time.monotonic(), False
         self.handler = node_type.handler(self.config, self, self.health)
         subscriptions = self.handler.subscriptions
         most = max(QUEUE, QUEUE_PER_TOPIC * len(subscriptions))
@@ -85,11 +85,16 @@ class HandlerNode(OutletNode):
 
     def _tick(self) -> None:
         self.state_listeners()
-        if self._inbox.full():
+        # One is enough: while the worker is busy, more of them would take the places of messages.
+        if self._tick_waits or self._inbox.full():
             return
+        self._tick_waits = True
+        self._offer(self._run_tick, None)
+
+    def _run_tick(self, _: Any) -> None:
         now = time.monotonic()
-        waited, self._last_tick = now - self._last_tick, now
-        self._offer(lambda _: self.handler.tick(waited), None)
+        waited, self._last_tick, self._tick_waits = now - self._last_tick, now, False
+        self.handler.tick(waited)
 
     def _work(self) -> None:
         while (item := self._inbox.get()) is not None:
