@@ -257,7 +257,7 @@ class JoiningHandler(Handler[ConfigT]):
         for join in self._joins:
             for topic, take in join.subscriptions.items():
                 found[topic].append(take)
-        return {topic: takes[0] if len(takes) == 1 else partial(_each, self.health, takes) for topic, takes in found.items()}
+        return {topic: partial(_each, self.health, takes) for topic, takes in found.items()}
 
     def discard(self, stamp_ns: int) -> None:
         for join in self._joins:

@@ -136,7 +136,9 @@ def test_a_frame_that_fails_keeps_no_other_join_from_its_part(health: Health) ->
     class Handler(JoiningHandler[NodeConfig]):
         def __init__(self) -> None:
             super().__init__(NodeConfig(site="s.yaml"), Kept(), health)
-            self._joins = [StampJoin({"depth": shared}, take, health) for take in (self._refuse, self._show, self._refuse)]
+            self._joins = [
+                StampJoin({"depth": shared}, take, health) for take in (self._refuse, self._show, self._refuse)
+            ]
 
         def _refuse(self, depth: Any) -> None:
             raise MessageError("no depth")
