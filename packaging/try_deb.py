@@ -23,7 +23,7 @@ SHOW = "systemctl show ltm --value --property"
 LOOPBACK_9464 = "0100007F:24F8"
 """127.0.0.1:9464 in the format of /proc/net/tcp."""
 BROKEN = {
-    "never gets ready": {"ltm_ros/nodes/cameras.py": "import time\ntime.sleep(1e6)\n"},
+    "never gets ready": {"ltm_ros/launching/site_process.py": "import time\ntime.sleep(1e6)\n"},
     "crashes": {"ltm_ros/launching/runner.py": "raise RuntimeError('a broken build')\n"},
     "its own doctor refuses": {"ltm_ros/tower/doctor.py": "raise RuntimeError('a broken build')\n"},
 }
