@@ -98,8 +98,6 @@ class JobNode(OutletNode):
             self._pipeline.publish(name, message)
 
     def _offer(self, wake: Callable[[], None], topic: Topic, message: Any) -> None:
-        if topic.counted:
-            self.health.received(topic.counted_name)
         try:
             self._camera.offer(self.job, topic, message)
         except queue.Full:

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
-from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
+from ltm_ros.runtime.handler import ConfigT, NodeType
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
@@ -46,7 +46,7 @@ class HandlerNode(OutletNode):
             self.open(topic)
         self.handler.start()
         for topic, callback in subscriptions.items():
-            self.listen(topic, partial(self._take, topic, callback))
+            self.listen(topic, partial(self._offer, callback))
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
         own, steady = {self.get_fully_qualified_name(): self.health}, DiagnosticsPublisher.steady_clock()
@@ -65,11 +65,6 @@ class HandlerNode(OutletNode):
         finished = not self._worker.is_alive() and self._guarded(lambda _: self.handler.finish(), None)
         self._diagnostics.publish()
         return 0 if finished else EX_IOERR
-
-    def _take(self, topic: Topic, callback: Callable[[Any], None], message: Any) -> None:
-        if topic.counted:
-            self.health.received(topic.counted_name)
-        self._offer(callback, message)
 
     def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
         size, held = data_bytes(message), self._bytes_in - self._bytes_out
