@@ -1,8 +1,8 @@
-"""Builds the Debian package: `python3 packaging/build_deb.py --out out/deb` (`make deb`).
+"""Build the Debian package: `python3 packaging/build_deb.py --out out/deb` (`make deb`).
 
-Its release is a virtual environment at `/opt/ltm/releases/VERSION` on Debian's own Python, with the packages of
-`requirements.lock`, each checked against its SHA-256 here, and with their bytecode. Nothing is fetched or compiled
-when it is installed: numba's kernels are in it for two levels of x86-64 (`precompile.py`).
+Its release is a virtual environment at `/opt/ltm/releases/VERSION` for Debian's Python, with the packages of
+`requirements.lock`, whose SHA-256 are checked here, and their bytecode. The installation downloads and compiles
+nothing: the package contains numba's kernels for two levels of x86-64 (`precompile.py`).
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ PLACES = {
     "debian/environment": "etc/ltm/environment",
 }
 CONFFILES = ("etc/ltm/site.yaml", "etc/ltm/environment")
-"""Are the administrator's once installed."""
+"""Files that the administrator may change after the installation."""
 DOCUMENTS = ("start", "site", "cameras", "deployment", "recordings", "region", "ros")
 UNUSED = ("numba/tests", "numpy/*/tests", "scipy/*/tests", "scipy/*/*/tests", "llvmlite/tests", "rclpy/test")
-"""Of the packages of others: their own tests, a sixth of the whole."""
+"""Tests of other packages, a sixth of all bytes."""
 
 
 def run(*command: str | Path, **environment: str) -> None:
@@ -44,7 +44,7 @@ def run(*command: str | Path, **environment: str) -> None:
 
 
 def version_of_checkout() -> str:
-    """The project's version and how far the checkout is beyond it: later commits are later versions to dpkg, too."""
+    """Return the project's version with the number of commits, so that dpkg sorts later commits as later versions."""
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
     def git(*arguments: str) -> str:
@@ -56,9 +56,8 @@ def version_of_checkout() -> str:
 
 
 def checked_wheels(pip: list[str], folder: Path) -> list[Path]:
-    """Wheels of all that the lock names, built where there is only a source archive; what is downloaded must have the
-    hash that the lock states. Kept from build to build.
-    """
+    """Return the wheels of all packages in the lock; downloads must have their stated hash. Source archives are built.
+    The wheels are kept for later builds."""
     lock = PACKAGING / "requirements.lock"
     wheels = folder / hashlib.sha256(lock.read_bytes()).hexdigest()[:16]
     if not wheels.exists():
@@ -71,7 +70,7 @@ def checked_wheels(pip: list[str], folder: Path) -> list[Path]:
 
 
 def own_wheel(pip: list[str], folder: Path) -> Path:
-    """Of the checkout, with compiled kernels; from a copy, so that no folder `build` is left in it or taken from it."""
+    """Return the wheel of the checkout with compiled kernels, built from a copy without its folder `build`."""
     source = folder / "source"
     shutil.rmtree(source, ignore_errors=True)
     source.mkdir(parents=True)
@@ -90,7 +89,7 @@ def own_wheel(pip: list[str], folder: Path) -> Path:
 
 
 def make_release(root: Path, version: str, python: str, pip: list[str], wheels: list[Path]) -> Path:
-    """The virtual environment, as it lies after installation: no file of it knows where it was made."""
+    """Make the virtual environment as it is after installation; no file contains the path of the build."""
     release = root / RELEASES / version
     run(python, "-I", "-m", "venv", "--without-pip", "--symlinks", release)
     command = [*pip, "--python", str(release / "bin/python"), "install", "--quiet", "--no-index", "--no-deps"]
@@ -126,7 +125,7 @@ def make_release(root: Path, version: str, python: str, pip: list[str], wheels: 
 
 
 def link_equal_libraries(folder: Path) -> None:
-    """Wheels cannot hold links, so those of ROS have each library three times: `libx.so`, `.so.2`, `.so.2.14.5`."""
+    """Replace equal libraries by links: ROS wheels contain each three times, as `libx.so`, `.so.2` and `.so.2.14.5`."""
     by_content: dict[bytes, Path] = {}
     # The longest name first: the others become links to it.
     for library in sorted(folder.glob("*.so*"), key=lambda path: (-len(path.name), path.name)):
@@ -164,10 +163,10 @@ def add_control(root: Path, version: str, python: tuple[int, int]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="Folder for the package; wheels are kept in it, too.")
-    parser.add_argument("--version", default="", help="Default: of the checkout.")
-    parser.add_argument("--python", default="/usr/bin/python3", help="The tower's, of Debian.")
-    parser.add_argument("--wheel", action="store_true", help="Only the wheel, for the Python that runs this.")
+    parser.add_argument("--out", type=Path, required=True, help="Folder for the package and the wheels.")
+    parser.add_argument("--version", default="", help="Version; default: that of the checkout.")
+    parser.add_argument("--python", default="/usr/bin/python3", help="Python of the towers (Debian).")
+    parser.add_argument("--wheel", action="store_true", help="Build only the wheel.")
     options = parser.parse_args()
     pip, out = [sys.executable, "-m", "pip"], options.out.resolve()
     if options.wheel:
@@ -183,7 +182,7 @@ def main() -> None:
     )
     python = (int(asked.stdout.split()[0]), int(asked.stdout.split()[1]))
     if python != sys.version_info[:2]:
-        raise SystemExit(f"{options.python} is Python {python}; run this with the same, for its wheels are taken")
+        raise SystemExit(f"{options.python} is Python {python}; run this program with the same version")
     if f"numba=={metadata.version('numba')} " not in (PACKAGING / "requirements.lock").read_text(encoding="utf-8"):
         raise SystemExit(
             f"requirements.lock has no numba {metadata.version('numba')}, which compiles the kernels here; "

@@ -1,7 +1,7 @@
-"""Writes `packaging/requirements.lock`: every package that a tower runs, its version and the SHA-256 of its file.
+"""Write `packaging/requirements.lock`: each package that a tower needs, with its version and the SHA-256 of its file.
 
-`python packaging/lock.py` with the Python that the tower has (Debian 12: 3.11, x86-64): wheels are made for one. The
-versions are those of constraints.txt. pip resolves and says what it would install; nothing is installed.
+Run `python packaging/lock.py` with the Python of the towers (Debian 12: 3.11, x86-64), because wheels differ. Versions
+are those of constraints.txt. pip reports what it would install; nothing is installed.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 REPOSITORY = Path(__file__).resolve().parents[1]
 LOCK = REPOSITORY / "packaging/requirements.lock"
 EXTRAS = ("ros", "tower", "rtsp", "region")
-"""Beside the base; each kind of camera works with them, and the link to a region. The live view (view) is left out,
-which is as large as all the rest."""
+"""Extras for all kinds of cameras and the link to a region. The live view (view) is left out, because it is as large as
+all others together."""
 
 
 def requirements() -> list[str]:
@@ -28,7 +28,7 @@ def requirements() -> list[str]:
 
 
 def resolved() -> list[dict[str, Any]]:
-    """What pip would install, by its own report. Raises CalledProcessError."""
+    """Return what pip would install, as it reports. Raises CalledProcessError."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]
@@ -39,7 +39,7 @@ def resolved() -> list[dict[str, Any]]:
 
 
 def lock_line(package: dict[str, Any]) -> str:
-    """Raises SystemExit where the index states no hash."""
+    """Return the line of a package. Raises SystemExit if the index states no hash."""
     name, version = package["metadata"]["name"].lower().replace("_", "-"), package["metadata"]["version"]
     digest = package["download_info"].get("archive_info", {}).get("hashes", {}).get("sha256")
     if not digest:

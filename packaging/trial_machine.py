@@ -1,7 +1,7 @@
-"""A Debian machine to try a package on: a real systemd, booted in namespaces of this one, without a network.
+"""Boot a Debian machine with systemd in namespaces of this machine, without a network, to test a package.
 
-Over a root folder (`make_debian_root`) lies an overlay, so that each trial starts from the same clean system. Needs
-root and a Linux with overlay and control groups; nothing of this machine is changed.
+An overlay over a root folder (`make_debian_root`) gives each trial the same clean system. This needs root and a Linux
+with overlays and control groups, and changes nothing on this machine.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ exec /lib/systemd/systemd --log-target=console
 
 
 class TrialError(RuntimeError):
-    """The machine cannot be made here, or a command on it has failed."""
+    """The machine cannot be booted here, or a command on it failed."""
 
 
 def make_debian_root(folder: Path, suite: str = "bookworm") -> None:
-    """A minimal Debian in `folder`, from its package servers, unless it is there already. Raises TrialError."""
+    """Install a minimal Debian in `folder` from its package servers, if it is missing. Raises TrialError."""
     if (folder / "lib/systemd/systemd").exists():
         return
     program = shutil.which("debootstrap")
@@ -67,7 +67,7 @@ def make_debian_root(folder: Path, suite: str = "bookworm") -> None:
 
 
 class TrialMachine:
-    """Booted on entering, gone without a trace on leaving. `shared` is seen on it as /opt/trial."""
+    """Context manager that boots a machine, and ends it. `shared`: folder mounted there at /opt/trial."""
 
     def __init__(self, lower: Path, shared: Path) -> None:
         if os.geteuid() != 0:
@@ -86,7 +86,7 @@ class TrialMachine:
         (self._work / "console").touch()
         spaces = [f"--{name}" for name in ("mount", "net", "pid", "ipc", "uts", "cgroup")]
         self._machine = subprocess.Popen(
-            # Even where this program is killed, the machine goes with it.
+            # The machine ends with this program, even if it is killed.
             ["setpriv", "--pdeathsig=KILL", "unshare", *spaces, "--fork", "--kill-child", "/bin/bash", "-c", BOOT],
             env=os.environ | {"LOWER": str(self._lower), "WORK": str(self._work), "SHARED": str(self._shared)},
             stdin=subprocess.DEVNULL,
@@ -106,14 +106,14 @@ class TrialMachine:
 
     def close(self) -> None:
         if self._machine is not None:
-            # Its init dies with `unshare`, and with init all that runs there.
+            # Its init and all its processes end with `unshare`.
             self._machine.send_signal(signal.SIGKILL)
             self._machine.wait()
         shutil.rmtree(self._work, ignore_errors=True)
 
     def run(self, command: str, *, check: bool = True, timeout_s: float = 900.0) -> subprocess.CompletedProcess[str]:
-        """A shell command on the machine. Raises TrialError with what it said when it fails and `check`, where it takes
-        longer than `timeout_s`, and where the machine is gone."""
+        """Run a shell command on the machine. Raises TrialError with its output if it fails and `check` is true, if it
+        takes longer than `timeout_s`, or if the machine has ended."""
         enter = ["nsenter", f"--target={self._init}", *(f"--{n}" for n in ("mount", "net", "pid", "ipc", "uts"))]
         enter += ["--cgroup", "--root", "--wd"]
         environment = {
@@ -136,20 +136,18 @@ class TrialMachine:
         except subprocess.TimeoutExpired as error:
             raise TrialError(f"{command}: not done after {timeout_s:.0f} s") from error
         if self._machine is None or self._machine.poll() is not None:
-            # Else what is asked of it next would look as if the package had failed.
-            raise TrialError(
-                f"{command}: the machine has ended meanwhile: somebody has killed it\n{ran.stdout[-1000:]}"
-            )
+            # Otherwise later commands would look like failures of the package.
+            raise TrialError(f"{command}: the machine has ended: it was killed\n{ran.stdout[-1000:]}")
         if check and ran.returncode:
             raise TrialError(f"{command}: exit code {ran.returncode}\n{ran.stdout[-4000:]}")
         return ran
 
     def says(self, command: str) -> str:
-        """What a command prints, whatever its exit code."""
+        """Return the output of a command with any exit code."""
         return self.run(command, check=False).stdout.strip()
 
     def wait_for(self, command: str, wanted: str, timeout_s: float) -> float:
-        """Until what `command` prints is `wanted`; the seconds that took. Raises TrialError."""
+        """Wait until `command` prints `wanted`; return the seconds. Raises TrialError."""
         begun = time.monotonic()
         while (said := self.says(command)) != wanted:
             if time.monotonic() - begun > timeout_s:

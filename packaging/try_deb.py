@@ -1,8 +1,8 @@
-"""Tries the package on a clean Debian with a real systemd, and prints what holds: `make try-deb`.
+"""Test the package on a clean Debian with systemd, and print the result of each check: `make try-deb`.
 
-`python3 packaging/try_deb.py PACKAGE.deb` as root: installed without a network, the service started on the demo's site
-(no camera sends), a node killed, the runner hung; upgraded, rolled back, upgraded to releases that do not come up;
-removed and purged. The other releases are the package's own under other versions, broken where they shall be.
+`python3 packaging/try_deb.py PACKAGE.deb` as root: install without a network, start the service with the demo's site
+(no camera sends), kill a node, stop the runner, upgrade, roll back, upgrade to broken releases, remove and purge. The
+other releases are copies of the package with other versions, some of them broken on purpose.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from trial_machine import TrialError, TrialMachine, make_debian_root
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHOW = "systemctl show ltm --value --property"
 LOOPBACK_9464 = "0100007F:24F8"
-"""As /proc/net/tcp writes 127.0.0.1:9464."""
+"""127.0.0.1:9464 in the format of /proc/net/tcp."""
 BROKEN = {
-    "never gets ready": {"ltm_ros/nodes/cameras.py": "import time\ntime.sleep(1e6)\n"},
+    "never gets ready": {"ltm_ros/launching/site_process.py": "import time\ntime.sleep(1e6)\n"},
     "crashes": {"ltm_ros/launching/runner.py": "raise RuntimeError('a broken build')\n"},
     "its own doctor refuses": {"ltm_ros/tower/doctor.py": "raise RuntimeError('a broken build')\n"},
 }
-"""Releases that shall not be taken: modules with what they are replaced by."""
+"""Releases that must be rejected: modules, and what they are replaced by."""
 WATCHED_S = {"never gets ready": 60, "crashes": 600}
-"""Of those that a power cut may leave on trial: seconds until the guard looks, which the second does not need."""
+"""Seconds until the guard checks a release that a power cut leaves on trial; the second does not need it."""
 BACK_S = 180
-"""From the stop of a release until it is ready again, where the new one was not taken."""
+"""Seconds from the stop of a release until it is ready again, after the new one was rejected."""
 RELEASES = "ls /opt/ltm/releases"
 CURRENT = "readlink /opt/ltm/current"
 PROCESSES = "for p in /proc/[0-9]*; do grep -qas '[l]tm_ros' $p/cmdline && stat -c %U $p; done | sort -u"
-"""The owners of all that runs of ours."""
+"""Command that prints the owners of our processes."""
 READY_S = 900.0
 """Seconds to wait for the first start."""
 FIRST_READY_S = 20.0
-"""Seconds in which the first start should be ready: the package has its kernels compiled."""
+"""Maximum seconds until the first start is ready; the package contains compiled kernels."""
 UPGRADE_S = 3600.0
-"""For an upgrade with its checks, on a machine that others use."""
+"""Maximum seconds for an upgrade with its checks on a busy machine."""
 STAGES = ("running", "upgrade", "broken", "removed")
-"""What `--only` chooses from, in their order. Each needs the package installed and, but for the last, started."""
+"""Choices of `--only`, in their order. Each needs the installed package, and all but the last a started service."""
 
 
 class Trial:
-    """Prints each thing that shall hold with what was found; `failed` counts those that do not."""
+    """Prints each requirement with its result; `failed` counts the failures."""
 
     def __init__(self) -> None:
         self.failed = 0
@@ -62,7 +62,7 @@ class Trial:
 
 
 def put_site(machine: TrialMachine) -> None:
-    """The demo's site, as an administrator puts one."""
+    """Install the demo's site."""
     machine.run(
         "cp /opt/trial/demo/*.tif /opt/trial/demo/site.yaml /etc/ltm/ && chmod 644 /etc/ltm/*.tif /etc/ltm/*.yaml"
     )
@@ -88,7 +88,7 @@ def installed(machine: TrialMachine, trial: Trial, package: str) -> None:
 
 
 def ready(machine: TrialMachine, trial: Trial) -> bool:
-    """Start it on the site that is there."""
+    """Start the service; return whether it became ready."""
     machine.run("systemctl reset-failed ltm; systemctl start --no-block ltm")
     try:
         took_s = machine.wait_for(f"{SHOW} ActiveState", "active", READY_S)
@@ -144,7 +144,7 @@ def started(machine: TrialMachine, trial: Trial) -> None:
 
 
 def changed(package: Path, version: str, target: Path, spoilt: dict[str, str] | None = None) -> Path:
-    """The package as another version; `spoilt`: modules of it with what they are replaced by."""
+    """Return a copy of the package as another version; `spoilt`: modules to replace, with their new text."""
     with tempfile.TemporaryDirectory(dir=target) as folder:
         root = Path(folder) / "root"
         subprocess.run(["dpkg-deb", "--raw-extract", package, root], check=True)
@@ -207,7 +207,7 @@ def broken(machine: TrialMachine, trial: Trial, shared: Path, package: Path) -> 
 
 
 def power_cut(machine: TrialMachine, trial: Trial, first: str, what: str, unfit: Path) -> None:
-    """As one in the midst of an upgrade leaves it: the release on trial is current, nobody waits for it."""
+    """Simulate a power cut during an upgrade: the release on trial is current, and `ltm upgrade` is gone."""
     former, watched_s = first.removeprefix("releases/"), WATCHED_S[what]
     machine.run(f"dpkg-deb --extract /opt/trial/{unfit.name} /opt/unpacked")
     machine.run("mv /opt/unpacked/opt/ltm/releases/0.9+broken /opt/ltm/releases/ && rm -r /opt/unpacked")
@@ -243,12 +243,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("package", type=Path)
     parser.add_argument(
-        "--root", type=Path, default=REPOSITORY / "out/trial/debian", help="Made by debootstrap if missing."
+        "--root",
+        type=Path,
+        default=REPOSITORY / "out/trial/debian",
+        help="Debian's root folder, made if missing.",
     )
     parser.add_argument("--quick", action="store_true", help="Without upgrades.")
-    parser.add_argument(
-        "--only", default=",".join(STAGES), help=f"Some of {','.join(STAGES)}; it is installed and started before."
-    )
+    parser.add_argument("--only", default=",".join(STAGES), help=f"Some of {','.join(STAGES)}.")
     options = parser.parse_args()
     stages = [stage for stage in options.only.split(",") if not (options.quick and stage in ("upgrade", "broken"))]
     if foreign := set(stages) - set(STAGES):
@@ -276,9 +277,9 @@ def main() -> None:
                 if "removed" in stages:
                     removed(machine, trial)
     except TrialError as error:
-        print(f"cannot be tried: {error}", file=sys.stderr)
+        print(f"cannot be tested: {error}", file=sys.stderr)
         sys.exit(2)
-    print(f"{trial.failed} things do not hold" if trial.failed else "all holds")
+    print(f"{trial.failed} checks failed" if trial.failed else "all checks passed")
     sys.exit(1 if trial.failed else 0)
 
 

@@ -142,7 +142,7 @@ class Tracks:
     def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:
         """Return the newest of each camera."""
         kept: list[SeenAt] = []
-        for seen in sorted(sightings, key=lambda each: -each.stamp_ns):
+        for seen in sorted(sightings, key=lambda each: each.stamp_ns)[::-1]:  # of equal stamps, the last one first
             if sum(other.sighting.name == seen.sighting.name for other in kept) < self.of_a_camera:
                 kept.append(seen)
         return kept[::-1]

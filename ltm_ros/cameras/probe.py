@@ -47,12 +47,6 @@ PTZ_KINDS: tuple[dict[str, Any], ...] = (
 
 
 @dataclass
-class PtzFound:
-    config: dict[str, Any]
-    reading: PtzReading
-
-
-@dataclass
 class Found:
     """Result of a probe. `source`: the camera's section of a site file, without user and password; `tried`: requests
     and answers, in words."""
@@ -66,7 +60,8 @@ class Found:
     """Whether two requests a moment apart returned different images."""
     clock_ahead_s: float | None = None
     clock_known_to_s: float | None = None
-    ptz: PtzFound | None = None
+    ptz: tuple[dict[str, Any], PtzReading] | None = None
+    """Section of the PTZ head in a site file, and its direction."""
     stated: tuple[str, ...] = ()
     """Addresses of images that the camera reports."""
     tried: list[tuple[str, str]] = field(default_factory=list)
@@ -203,7 +198,7 @@ def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
         reading = ptz.read()
     finally:
         ptz.close()
-    found.ptz = PtzFound(given, reading)
+    found.ptz = given, reading
     return f"pan {reading.pan_deg:.2f}, tilt {reading.tilt_deg:.2f}, zoom {reading.zoom:g}"
 
 
@@ -238,7 +233,7 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
     where: dict[str, Any] = {name: getattr(placing, name) for name in names}
     size = {} if found.size is None else dict(zip(("width", "height"), found.size, strict=True))
     if found.ptz is not None:
-        entry["ptz"], kind = dict(found.ptz.config), found.ptz.config["kind"]
+        entry["ptz"], kind = dict(found.ptz[0]), found.ptz[0]["kind"]
         if size:
             entry["mount"] = where | ({"tilt_sign": -1} if kind == "isapi" else {})
             if kind == "vapix" and placing.hfov_deg is None:

@@ -227,8 +227,8 @@ def _print_found(found: Found) -> None:
         known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
         rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))
     if found.ptz is not None:
-        reading = found.ptz.reading
-        row("PTZ protocol", " ".join(str(value) for value in found.ptz.config.values()))
+        ptz, reading = found.ptz
+        row("PTZ protocol", " ".join(str(value) for value in ptz.values()))
         rows.append(("pan", f"{reading.pan_deg:.2f} deg"))
         rows.append(("tilt", f"{reading.tilt_deg:.2f} deg"))
         rows.append(("zoom", f"{reading.zoom:g}"))

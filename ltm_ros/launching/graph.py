@@ -24,7 +24,7 @@ _PARAMETER: TypeAdapter[ParameterValue] = TypeAdapter(
 )
 
 NODES_MODULE = "ltm_ros.nodes"
-CAMERAS_MODULE = f"{NODES_MODULE}.cameras"
+CAMERAS_MODULE = "ltm_ros.launching.site_process"
 
 CAMERA_NODES = ("capture", "depth", "segmentation", "fuel_votes")
 """Node types that every camera has, in `/<site>/<camera>`; others depend on the sections of the site file."""
@@ -113,9 +113,6 @@ class ProcessSpec:
         return not self.shared and self.nodes[0].busy
 
 
-_Part = TypeVar("_Part", NodeSpec, ProcessSpec)
-
-
 @dataclass(frozen=True)
 class Graph:
     """All nodes of a site. Labels are unique."""
@@ -138,10 +135,6 @@ class Graph:
             members.setdefault(node.process or node.label, []).append(node)
         return tuple(ProcessSpec(label, tuple(nodes)) for label, nodes in members.items())
 
-    def process(self, label: str) -> ProcessSpec:
-        """Return a process by label. Raises ConfigError that lists the processes."""
-        return self._labelled(label, self.processes, "process")
-
     def __iter__(self) -> Iterator[NodeSpec]:
         return iter(self.nodes)
 
@@ -150,14 +143,11 @@ class Graph:
 
     def node(self, label: str) -> NodeSpec:
         """Return a node by label. Raises ConfigError that lists the nodes."""
-        return self._labelled(label, self.nodes, "node")
-
-    def _labelled(self, label: str, parts: Sequence[_Part], what: str) -> _Part:
-        for part in parts:
-            if part.label == label:
-                return part
-        there = ", ".join(part.label for part in parts)
-        raise ConfigError(f"no {what} {label!r} in the graph of {self.site}; it has {there}")
+        for node in self.nodes:
+            if node.label == label:
+                return node
+        there = ", ".join(node.label for node in self.nodes)
+        raise ConfigError(f"no node {label!r} in the graph of {self.site}; it has {there}")
 
 
 def describe(

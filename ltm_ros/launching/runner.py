@@ -114,9 +114,13 @@ class Runner:
         return [label for label, process in self.processes.items() if process.state is ProcessState.GIVEN_UP]
 
     @property
+    def _required(self) -> list[str]:
+        """Return the labels of the processes without which the graph is useless."""
+        return [spec.label for spec in self.graph.processes if spec.required]
+
+    @property
     def _lost_for_good(self) -> list[str]:
-        """Return the abandoned processes without which the graph is useless."""
-        return [label for label in self.given_up if self.graph.process(label).required]
+        return [label for label in self._required if label in self.given_up]
 
     def start(self) -> None:
         """Start every process and return at once. Raises GraphError if the runner was started before."""
@@ -146,8 +150,7 @@ class Runner:
         return [node.label for spec in there for node in spec.nodes if node.full_name not in ready]
 
     def kill(self, label: str, number: int = signal.SIGKILL) -> bool:
-        """Send a signal to one process, for tests. Returns False if it is not running. Raises ConfigError."""
-        self.graph.process(label)
+        """Send a signal to one process, for tests. Returns False if it is not running."""
         return self.processes[label].signal(number)
 
     def stop(self) -> None:
@@ -174,7 +177,6 @@ class Runner:
         stopping = threading.Event()
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         former = {number: signal.signal(number, lambda *_: stopping.set()) for number in numbers}
-        required = [process.label for process in self.graph.processes if process.required]
         try:
             manager.report(f"starting {len(self.graph)} nodes", ready=False, alive=True)
             self.start()
@@ -191,7 +193,7 @@ class Runner:
                         self._say(f"-- {line}")
                 self._report(manager, ready)
                 trimming.look(time.monotonic())
-                if all(label in self.given_up for label in required):
+                if self._lost_for_good == self._required:
                     self._say("-- all required nodes have failed")
                     break
         finally:
@@ -199,7 +201,7 @@ class Runner:
             self.stop()
             for number, handler in former.items():
                 signal.signal(number, handler)
-        return 1 if any(label in self.given_up for label in required) else 0
+        return 1 if self._lost_for_good else 0
 
     def _report(self, manager: ServiceManager, ready: bool) -> None:
         processes = self.processes.values()

@@ -1,4 +1,6 @@
-"""Run the nodes of all cameras of a site in one process: each camera is a pipeline, each node a job."""
+"""Run the nodes of all cameras of a site in one process: each camera is a pipeline, each node a job.
+
+`python -m ltm_ros.launching.site_process NODES.json` runs the nodes that the file lists (`nodes_json`)."""
 
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import rclpy.node
@@ -16,12 +19,12 @@ from rclpy.parameter import Parameter
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
-from ltm_ros.launching.graph import NodeSpec
+from ltm_ros.launching.graph import CAMERAS_PROCESS, NodeSpec, nodes_of_json
 from ltm_ros.runtime.camera_pipeline import CameraPipeline, FrameScheduler
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.heartbeat import HEARTBEAT
-from ltm_ros.runtime.node_process import EX_IOERR
+from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import WIRING_S, OutletNode
 from ltm_ros.runtime.pipeline import Job, absolute
 from ltm_ros.runtime.retry import Backoff
@@ -95,8 +98,6 @@ class JobNode(OutletNode):
             self._pipeline.publish(name, message)
 
     def _offer(self, wake: Callable[[], None], topic: Topic, message: Any) -> None:
-        if topic.counted:
-            self.health.received(topic.counted_name)
         try:
             self._camera.offer(self.job, topic, message)
         except queue.Full:
@@ -216,3 +217,8 @@ class SiteProcess:
     def _look_at_wiring(self) -> None:
         for node in self._members:
             node.look_at_wiring()
+
+
+if __name__ == "__main__":
+    SPECS = nodes_of_json(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    run_until_stopped(CAMERAS_PROCESS, lambda: SiteProcess(SPECS))

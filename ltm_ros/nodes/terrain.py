@@ -128,8 +128,8 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
 
     def finish(self) -> None:
         """Store the remaining frames. Raises StoreError if that fails; then they are lost."""
-        super().finish()
         try:
+            super().finish()
             self._store_the_last()
             if self._confirmation is not None:
                 self._confirmation.finish()

@@ -116,8 +116,10 @@ class ViewerHandler(JoiningHandler[ViewerConfig]):
         self._view.log_changed_cells(stamp_of(message), cells, points, changed.kind)
 
     def finish(self) -> None:
-        super().finish()
-        self._view.close()
+        try:
+            super().finish()
+        finally:
+            self._view.close()
 
     def _show_fusion(self, camera: str, traced: Any, fused: Any, network: Any) -> None:
         alone = None if network is None else msg_to_depth(network)

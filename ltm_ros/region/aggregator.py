@@ -53,7 +53,7 @@ FrameId = tuple[str, str, int]
 
 
 class Aggregator:
-    """Knows no transport: `take` receives a tower's message, `settle` returns the answers. `now_ns`: the time."""
+    """Uses no transport: `take` receives a tower's message, `settle` returns the answers. `now_ns`: the time."""
 
     def __init__(self, config: RegionConfig, health: Health, now_ns: Callable[[], int]) -> None:
         """Open the region's map. Raises LtmError for an invalid site, store or certificate."""
@@ -102,11 +102,11 @@ class Aggregator:
             self._answer(frame, refusal)
 
     def show(self) -> list[Window]:
-        """Decide the map anew where frames were counted; the parts of it that this was of."""
+        """Recompute the map where frames were counted; return these parts of it."""
         return self.persistence.show()
 
     def settle(self) -> dict[str, list[bytes]]:
-        """Store what was counted: sealed acknowledgements by tower."""
+        """Store the counted frames; return sealed acknowledgements by tower."""
         for counted in self.persistence.settle(show=False):
             self._answer_for(counted)
         self._health.gauge("frames", self.persistence.saved_frames)
@@ -114,13 +114,13 @@ class Aggregator:
         return self._sealed()
 
     def close(self) -> dict[str, list[bytes]]:
-        """Store all that can be; acknowledgements by tower. What is not stored is sent again by its tower."""
+        """Store all frames if possible; return acknowledgements by tower. A tower sends an unstored frame again."""
         for counted in self.persistence.close():
             self._answer_for(counted)
         return self._sealed()
 
     def _count(self, frame: FrameId, start: HeaderStart, envelope: Envelope) -> str:
-        """Count a frame; why not, in words, or empty. Raises LtmError for votes that cannot be taken."""
+        """Count a frame; return why it was not counted, or nothing. Raises LtmError for invalid votes."""
         tower, camera, stamp = frame
         if start.version != VERSION:
             raise MessageError(

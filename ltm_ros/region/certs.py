@@ -145,12 +145,12 @@ keyfile {folder}/{BROKER}.key
 tls_version tlsv1.2
 require_certificate true
 use_identity_as_username true
-# Else whoever comes as another client would end that one's connection.
+# Otherwise a client could end the connection of another by using its name.
 use_username_as_clientid true
 allow_anonymous false
 acl_file {folder}/acl
 user {getpass.getuser()}
-# Towers and the map remember what matters: the broker may forget everything at any time.
+# The broker needs to keep nothing: the towers and the map store all frames.
 persistence false
 max_packet_size {LARGEST_PACKET}
 max_queued_messages 10000
@@ -160,7 +160,7 @@ max_keepalive 600
 
 
 def acl(region: str) -> str:
-    """What a certificate's name may do: a tower writes its own votes alone and reads what it is answered."""
+    """Return the access rights by certificate name: a tower writes only its own votes, and reads their answers."""
     return f"""# Written by `ltm certs`. %u is the common name of the client's certificate.
 user {AGGREGATOR}
 topic read {ROOT}/{region}/votes/+

@@ -29,8 +29,7 @@ class FrameScheduler:
 
     def __init__(self, workers: int, heartbeat: Heartbeat) -> None:
         self._changed = threading.Condition()
-        self._queue: deque[CameraPipeline] = deque()
-        self._queued: set[CameraPipeline] = set()
+        self._queue: dict[CameraPipeline, None] = {}
         self._at_work: dict[CameraPipeline, bool] = {}
         """Cameras that have a turn now, and whether they were woken meanwhile."""
         self._closing = False
@@ -64,9 +63,8 @@ class FrameScheduler:
         return not any(thread.is_alive() for thread in self._threads)
 
     def _enqueue(self, camera: CameraPipeline) -> None:
-        if camera not in self._queued:
-            self._queued.add(camera)
-            self._queue.append(camera)
+        if camera not in self._queue:
+            self._queue[camera] = None
             self._changed.notify()
 
     def _next(self) -> CameraPipeline | None:
@@ -75,8 +73,8 @@ class FrameScheduler:
                 if self._closing:
                     return None
                 self._changed.wait()
-            camera = self._queue.popleft()
-            self._queued.discard(camera)
+            camera = next(iter(self._queue))
+            del self._queue[camera]
             self._at_work[camera] = False
             return camera
 
@@ -115,7 +113,7 @@ class CameraPipeline:
         self._lock = threading.Lock()
         self._inbox: deque[tuple[Job, Topic, Any]] = deque()
         self._inbox_bytes = 0
-        self._taking = True
+        self.more_waits = True
         """Whether handlers get further messages before `idle`."""
         self._closing = False
         self._activity = Activity("start")
@@ -123,13 +121,9 @@ class CameraPipeline:
         """Seconds not yet passed on to the handlers."""
 
     @property
-    def more_waits(self) -> bool:
-        return self._taking
-
-    @property
     def waiting(self) -> int:
         """Return the number of messages in the inbox and in work."""
-        return len(self._inbox) + (not self._taking)
+        return len(self._inbox) + (not self.more_waits)
 
     def offer(self, job: Job, topic: Topic, message: Any) -> None:
         """Queue a message for the next turn; thread-safe. Raises queue.Full without room."""
@@ -157,11 +151,11 @@ class CameraPipeline:
             self.pipeline.drain()
         if self._closing:
             return False
-        self._taking = False
+        self.more_waits = False
         self.pipeline.idle()
         let_in = not self.pipeline.empty
         self.pipeline.drain()
-        self._taking = True
+        self.more_waits = True
         return let_in
 
     def stop_admitting(self) -> None:

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
-from ltm_ros.runtime.handler import ConfigT, NodeType, Topic
+from ltm_ros.runtime.handler import ConfigT, NodeType
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
@@ -36,7 +36,7 @@ class HandlerNode(OutletNode):
 
     def __init__(self, node_type: NodeType[ConfigT]) -> None:
         super().__init__(node_type)
-        self._last_tick = time.monotonic()
+        self._last_tick, self._tick_waits = time.monotonic(), False
         self.handler = node_type.handler(self.config, self, self.health)
         subscriptions = self.handler.subscriptions
         most = max(QUEUE, QUEUE_PER_TOPIC * len(subscriptions))
@@ -46,7 +46,7 @@ class HandlerNode(OutletNode):
             self.open(topic)
         self.handler.start()
         for topic, callback in subscriptions.items():
-            self.listen(topic, partial(self._take, topic, callback))
+            self.listen(topic, partial(self._offer, callback))
         for service, action in self.handler.services.items():
             self.create_service(Trigger, service, self._serve(action))
         own, steady = {self.get_fully_qualified_name(): self.health}, DiagnosticsPublisher.steady_clock()
@@ -66,11 +66,6 @@ class HandlerNode(OutletNode):
         self._diagnostics.publish()
         return 0 if finished else EX_IOERR
 
-    def _take(self, topic: Topic, callback: Callable[[Any], None], message: Any) -> None:
-        if topic.counted:
-            self.health.received(topic.counted_name)
-        self._offer(callback, message)
-
     def _offer(self, callback: Callable[[Any], None], message: Any) -> None:
         size, held = data_bytes(message), self._bytes_in - self._bytes_out
         try:
@@ -85,11 +80,16 @@ class HandlerNode(OutletNode):
 
     def _tick(self) -> None:
         self.state_listeners()
-        if self._inbox.full():
+        # One is enough: while the worker is busy, more of them would take the places of messages.
+        if self._tick_waits or self._inbox.full():
             return
+        self._tick_waits = True
+        self._offer(self._run_tick, None)
+
+    def _run_tick(self, _: Any) -> None:
         now = time.monotonic()
-        waited, self._last_tick = now - self._last_tick, now
-        self._offer(lambda _: self.handler.tick(waited), None)
+        waited, self._last_tick, self._tick_waits = now - self._last_tick, now, False
+        self.handler.tick(waited)
 
     def _work(self) -> None:
         while (item := self._inbox.get()) is not None:

@@ -90,11 +90,13 @@ class OutletNode(Node):  # type: ignore[misc]
         self._publishers_by_topic[topic].publish(message)
 
     def listen(self, topic: Topic, offer: Callable[[Any], None]) -> None:
-        """Pass messages of a topic to `offer`; lost messages are counted."""
+        """Pass messages of a topic to `offer`; count received and lost ones."""
         name = topic.name
         losses = LossCounter(self, name, self.health)
 
         def take(message: Any, info: Any) -> None:
+            if topic.counted:
+                self.health.received(topic.counted_name)
             if not topic.latched:  # of these only the last message counts
                 losses.take(info)
             offer(message)

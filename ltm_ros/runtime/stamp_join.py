@@ -194,11 +194,7 @@ class StampJoin:
         while len(held) > 1 and sum(held.values()) > self._capacity_bytes:
             del held[oldest := min(held)]  # whatever it lacks
             self._drop(oldest, f"later ones with {sum(held.values()) >> 20} MB of data are queued")
-        raised = [error for error in errors if error is not None]
-        for earlier in raised[:-1]:
-            self._health.drop(cause_of(earlier), str(earlier))
-        if raised:
-            raise raised[-1]
+        _raise_last(errors, self._health)
 
     def _try(self, stamp: int, at_once: bool) -> LtmError | None:
         """Complete the frame if it has its required parts, and no optional part must be waited for; return its
@@ -261,21 +257,34 @@ class JoiningHandler(Handler[ConfigT]):
         for join in self._joins:
             for topic, take in join.subscriptions.items():
                 found[topic].append(take)
-        return {topic: takes[0] if len(takes) == 1 else partial(_each, takes) for topic, takes in found.items()}
+        return {topic: partial(_each, self.health, takes) for topic, takes in found.items()}
 
     def discard(self, stamp_ns: int) -> None:
         for join in self._joins:
             join.discard(stamp_ns)
 
     def tick(self, waited: float) -> None:
-        for join in self._joins:
-            join.tick(waited)
+        _each(self.health, [join.tick for join in self._joins], waited)
 
     def finish(self) -> None:
-        for join in self._joins:
-            join.finish()
+        _each(self.health, [join.finish for join in self._joins])
 
 
-def _each(takes: Sequence[Callable[[Any], None]], message: Any) -> None:
-    for take in takes:
-        take(message)
+def _each(health: Health, calls: Sequence[Callable[..., None]], *given: Any) -> None:
+    """Make all calls: an error in one camera's frame must not keep the others' from going on."""
+    errors: list[LtmError | None] = []
+    for call in calls:
+        try:
+            call(*given)
+        except LtmError as error:
+            errors.append(error)
+    _raise_last(errors, health)
+
+
+def _raise_last(errors: Sequence[LtmError | None], health: Health) -> None:
+    """Raise the last of the errors, which its caller counts; count the earlier ones."""
+    raised = [error for error in errors if error is not None]
+    for earlier in raised[:-1]:
+        health.drop(cause_of(earlier), str(earlier))
+    if raised:
+        raise raised[-1]

@@ -59,9 +59,8 @@ def open_health_server(config: HealthConfig, routes: Mapping[str, Route]) -> Web
 
 
 class PatientServer:
-    """Serve from construction, or as soon as the port is free; until then `health` has the reason.
-
-    Raises ConfigError if the certificate, key or token cannot be read: waiting does not help there."""
+    """Serve from construction, or as soon as the port is free, and certificate, key and token can be read; until then
+    `health` has the reason."""
 
     def __init__(
         self,
@@ -98,8 +97,11 @@ class PatientServer:
         """Open the server; return why that is not possible now."""
         try:
             self._server = open_health_server(self._config, self._routes)
-        except OSError as error:
-            why = f"{refusal(self._config.address, self._config.port, error)}; retrying every {self._retry_s:g} s"
+        except (OSError, ConfigError) as error:
+            why = str(error)
+            if isinstance(error, OSError):
+                why = refusal(self._config.address, self._config.port, error)
+            why += f"; retrying every {self._retry_s:g} s"
             self._health.trouble("port", why)
             return why
         self._tell(f"health port: {self._server.url}")

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from ltm_core.base.strict_model import StrictModel
 from ltm_msgs_py.json_topics import LocateTracks
 from ltm_msgs_py.stamp import make_header
+from ltm_ros.cameras.protocols.picture import difference_deg
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.outlet_node import stream_qos
 from ltm_ros.runtime.topics import LOCATE_POINT, LOCATE_TRACKS, camera_topic, site_topic
@@ -132,8 +133,7 @@ class Marks:
             if picture is None:
                 continue
             azimuth, pitch, _ = picture.pose.angles_deg
-            turned = (azimuth - mark.azimuth_deg + 180) % 360 - 180
-            if max(abs(turned), abs(pitch - mark.pitch_deg)) < SAME_DEG:
+            if max(difference_deg(azimuth, mark.azimuth_deg), abs(pitch - mark.pitch_deg)) < SAME_DEG:
                 across, down = (mark.u + 0.5) / picture.camera.width, (mark.v + 0.5) / picture.camera.height
                 drawn.append({"camera": mark.camera, "across": across, "down": down})
         return drawn

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.storage.disk_io import free_bytes, sync
 
 ROOT = Path("/opt/ltm")
 _VERSION = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+~-]*")
@@ -99,7 +100,7 @@ class Releases:
         if former != version:
             self._link("former", former)
         self._link("current", version)
-        sync_folder(self.root)
+        sync(self.root)
 
     def _link(self, name: str, version: str) -> None:
         link = self.root / f".{name}.new"
@@ -129,26 +130,16 @@ class Releases:
         partial = self._trial / ".release"
         lines = trial.former, trial.candidate, trial.copy, trial.watched_s
         partial.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
+        sync(partial)
         partial.rename(self._trial / "release")
-        sync_folder(self._trial)
+        sync(self._trial)
 
     def end_trial(self) -> None:
         for name in ("release", ".release", "started"):
             (self._trial / name).unlink(missing_ok=True)
         with contextlib.suppress(FileNotFoundError):
             self._trial.rmdir()
-        sync_folder(self.root)
-
-
-def sync_folder(folder: Path) -> None:
-    """Write a folder's names to the disk. Raises OSError."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        sync(self.root)
 
 
 NAME = "ltm"
@@ -185,7 +176,7 @@ class PackageFile:
         """Unpack the release beside the others; it gets its name only when it is complete.
 
         Raises UpgradeError: disk full, damaged, or without a release of its own version."""
-        free = shutil.disk_usage(releases.root).free
+        free = free_bytes(releases.root)
         if free < ROOM * self.size:
             raise UpgradeError(
                 f"{releases.root}: {free / 1e6:.0f} MB free, {ROOM * self.size / 1e6:.0f} MB are needed: free "

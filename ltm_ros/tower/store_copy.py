@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ltm_core.base.errors import StoreError
-from ltm_ros.tower.releases import program_output, sync_folder
+from ltm_core.storage.disk_io import free_bytes, sync
+from ltm_ros.tower.releases import program_output
 
 UNIT = "ltm.service"
 
@@ -75,7 +76,7 @@ def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
         _make_own(copies)
     except OSError as error:
         raise StoreError(f"{copies}: {error.strerror}; nothing was changed") from error
-    size, free = sum(store.stat().st_size for store in stores), shutil.disk_usage(copies).free
+    size, free = sum(store.stat().st_size for store in stores), free_bytes(copies)
     if free < ROOM * size:
         raise StoreError(
             f"{copies}: {free / 1e6:.0f} MB free, a copy of the stores needs {size / 1e6:.0f} MB: free some space"
@@ -121,7 +122,7 @@ def return_stores(state: Path, copy: Path, aside: Path) -> list[Path]:
             partial.replace(state / store.name)
             # Synced before the release is switched: after a power cut it must not find the newer store.
             for folder in (aside, state):
-                sync_folder(folder)
+                sync(folder)
         except OSError as error:
             failed.append(f"{store.name} ({error.strerror})")
             with contextlib.suppress(OSError):

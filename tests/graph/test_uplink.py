@@ -114,7 +114,7 @@ def test_votes_of_a_running_graph_reach_the_map_of_the_region(small_site: SmallS
     found, of_region = stored(map_, store)
     assert (of_tower, of_region) == ({"tower": FRAMES}, {"peak_tower": FRAMES})
     seen = 0
-    for key in [(row, col) for row in range(own.tiles[0]) for col in range(own.tiles[1])]:
+    for key in own.tiles_of((0, 0, *own.geometry.shape)):
         mine, theirs = own.tile_state(key), found.tile_state(key)
         seen += int((mine["last_seen"] > 0).sum())
         for field in mine.keys() - {"camera_hashes", "seen_by"}:  # which go by the cameras' names

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Option
 
-from ltm_lab.cli.options import JsonFile
+from ltm_lab.options import JsonFile
 
 
 def assessment(

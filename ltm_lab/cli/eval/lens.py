@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_lab.cli.options import JsonFile
+from ltm_lab.options import JsonFile
 
 
 def lens(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from ltm_lab.cli.options import JsonFile, writable_folder
+from ltm_lab.options import JsonFile, writable_folder
 
 
 def segmentation(

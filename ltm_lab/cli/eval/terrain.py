@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from ltm_lab.cli.bench.runs import print_table
-from ltm_lab.cli.options import JsonFile, writable_folder
+from ltm_lab.options import JsonFile, writable_folder
 
 if TYPE_CHECKING:
     from ltm_core.base.types import BoolArray

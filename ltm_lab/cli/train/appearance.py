@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from ltm_core.vision.manifest import DEFAULT_MODEL
-from ltm_lab.cli.options import writable_folder
+from ltm_lab.options import writable_folder
 
 
 def appearance(

@@ -50,7 +50,7 @@ class Tolerance:
 
 
 def difference_deg(first: float, second: float) -> float:
-    """Between two angles, at most 180."""
+    """Return the difference of two angles, at most 180."""
     return abs((second - first + 180.0) % 360.0 - 180.0)
 
 

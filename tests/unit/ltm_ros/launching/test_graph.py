@@ -47,9 +47,10 @@ def test_a_camera_with_a_source_is_asked_for_its_pictures_but_not_in_a_replay() 
     given = site(cameras={"north": {"source": source, "calibration": calibration}, "south": {}})
     graph = describe(given, "ridge.yaml")
     assert [node.label for node in graph if node.name == "source"] == ["north/source"]
-    asks = graph.process("sources")
+    (asks,) = (process for process in graph.processes if process.label == "sources")
     assert (asks.shared, asks.required, [node.label for node in asks.nodes]) == (True, True, ["north/source"])
-    assert describe(given.model_copy(update={"processes": "node"}), "r.yaml").process("north/source").shared is False
+    apart = describe(given.model_copy(update={"processes": "node"}), "r.yaml")
+    assert not any(process.shared for process in apart.processes)
     for graph in (describe(given, "ridge.yaml", sim_time=True), describe(given, "ridge.yaml", sources=False)):
         assert not [node for node in graph if node.name == "source"]
 
@@ -96,16 +97,16 @@ def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
     )
     assert [process.label for process in apart.processes] == [node.label for node in apart]
     assert [node.full_name for node in together] == [node.full_name for node in apart]
-    assert [process.label for process in together.processes] == ["fuel_map", "cameras", "recorder"]
-    cameras = together.process("cameras")
+    fuel_map, cameras, recorder = together.processes
+    assert (fuel_map.label, cameras.label, recorder.label) == ("fuel_map", "cameras", "recorder")
     assert [node.label for node in cameras.nodes] == [
         f"{camera}/{kind}" for camera in ("north", "south") for kind in (*CAMERA_NODES, "topodepth")
     ]
-    assert (cameras.shared, cameras.required, cameras.busy) == (True, True, False)
-    assert (apart.process("north/depth").shared, apart.process("north/depth").busy) == (False, True)
-    assert not together.process("recorder").required
-    with pytest.raises(ConfigError, match=r"no process 'north/depth' .* it has fuel_map, cameras, recorder"):
-        together.process("north/depth")
+    assert (cameras.shared, cameras.required, cameras.busy, recorder.required) == (True, True, False, False)
+    depth = apart.processes[2]
+    assert (depth.label, depth.shared, depth.busy) == ("north/depth", False, True)
+    with pytest.raises(ConfigError, match=r"no node 'west/depth' .* it has fuel_map, north/capture"):
+        together.node("west/depth")
 
 
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"

@@ -13,6 +13,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_ros.launching import site_process
 from ltm_ros.launching.graph import NodeSpec
 from ltm_ros.launching.site_process import LONGEST_PAUSE_S, SiteProcess
+from ltm_ros.runtime.delivery_checks import NUMBER
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
 
@@ -80,5 +81,6 @@ def test_a_camera_that_cannot_start_is_tried_again_and_leaves_no_node_meanwhile(
 
 def test_frames_of_a_topic_with_another_name_are_counted(started: Callable[[], SiteProcess]) -> None:
     node: Any = started().members[0]
-    node._offer(lambda: None, IMAGE, Header())
+    _, _, take = node._reliable[IMAGE.name]
+    take(Header(), {NUMBER: 1})
     assert node.health.summary()["frames_in"] == "1"

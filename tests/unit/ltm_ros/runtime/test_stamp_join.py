@@ -1,12 +1,17 @@
 from __future__ import annotations
 
 from itertools import permutations
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from scenes.outlets import Kept
 
+from ltm_core.base.errors import MessageError
+from ltm_msgs_py.stamp import make_header, stamp_of
+from ltm_ros.runtime.handler import NodeConfig, Topic
 from ltm_ros.runtime.health import Health
-from ltm_ros.runtime.stamp_join import Match, Part, StampJoin
+from ltm_ros.runtime.stamp_join import JoiningHandler, Match, Part, StampJoin
 
 
 @pytest.fixture
@@ -122,3 +127,27 @@ def test_what_waits_is_bounded_in_bytes() -> None:
     assert [stamp for stamp, *_ in given_up] == [1, 2, 3], "one alone has room, whatever it holds"
     join.add("pose", 4, Heavy(0))
     assert len(done) == 1
+
+
+def test_a_frame_that_fails_keeps_no_other_join_from_its_part(health: Health) -> None:
+    """Two joins of a node listen to one topic, and two frames that both fail are both counted."""
+    shared, done = Topic("/depth", SimpleNamespace), list[int]()
+
+    class Handler(JoiningHandler[NodeConfig]):
+        def __init__(self) -> None:
+            super().__init__(NodeConfig(site="s.yaml"), Kept(), health)
+            self._joins = [
+                StampJoin({"depth": shared}, take, health) for take in (self._refuse, self._show, self._refuse)
+            ]
+
+        def _refuse(self, depth: Any) -> None:
+            raise MessageError("no depth")
+
+        def _show(self, depth: Any) -> None:
+            done.append(stamp_of(depth))
+
+    (take,) = Handler().subscriptions.values()
+    with pytest.raises(MessageError):
+        take(SimpleNamespace(header=make_header(7, "camera")))
+    assert done == [7]
+    assert health.dropped == {"message": 1}, "the last one is counted by whoever called"

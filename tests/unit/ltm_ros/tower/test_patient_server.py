@@ -49,6 +49,18 @@ def test_it_answers_once_the_port_is_free(monkeypatch: pytest.MonkeyPatch) -> No
     assert not answers(port)
 
 
+def test_a_token_that_is_corrected_needs_no_restart(tmp_path: Path) -> None:
+    """A node that ends would leave the tower without a status page until somebody restarts it."""
+    health, token = Health(), tmp_path / "token"
+    config = HealthConfig(port=free_port(), token=token)
+    server = PatientServer(config, ROUTES, health, lambda _: None, lambda _: None, retry_s=0.01)
+    assert server.url is None
+    assert str(token) in health.last_error
+    token.write_text("0123456789abcdef")
+    wait_for(lambda: server.url is not None, "the port")
+    server.close()
+
+
 def test_an_address_that_the_machine_does_not_have_yet(tmp_path: Path) -> None:
     """That of a tunnel which comes up after the tower: other than a port that is taken, nobody has to end anything."""
     health = Health()

@@ -312,24 +312,19 @@ def test_frames_that_the_failed_release_kept_stay_where_it_changed_no_schema(tow
     assert frames_of(tower.store) == 8
 
 
-def test_a_service_that_cannot_be_started_with_it_brings_the_former_release_back(tower: Tower, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [(UpgradeError("systemctl start: no"), "systemctl start: no"), (KeyboardInterrupt(), "interrupted")],
+)
+def test_a_start_that_fails_or_is_interrupted_brings_the_former_release_back(
+    tower: Tower, tmp_path: Path, error: BaseException, why: str
+) -> None:
     def fails(version: str) -> None:
         if version == "2.0":
-            raise UpgradeError("systemctl start: no")
+            raise error
 
     tower.service.on_start = fails
-    with pytest.raises(UpgradeError, match=r"systemctl start: no; 1\.0 runs again"):
-        tower.install(write_package(tmp_path, "2.0"))
-    assert tower.releases.current == "1.0"
-
-
-def test_ctrl_c_while_a_release_is_on_trial_brings_the_former_one_back(tower: Tower, tmp_path: Path) -> None:
-    def interrupts(version: str) -> None:
-        if version == "2.0":
-            raise KeyboardInterrupt
-
-    tower.service.on_start = interrupts
-    with pytest.raises(UpgradeError, match=r"2\.0 was rejected: interrupted; 1\.0 runs again"):
+    with pytest.raises(UpgradeError, match=rf"2\.0 was rejected: {why}; 1\.0 runs again"):
         tower.install(write_package(tmp_path, "2.0"))
     assert (tower.releases.current, tower.releases.trial) == ("1.0", None)
     assert tower.releases.installed == ["1.0"]
