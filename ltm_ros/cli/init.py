@@ -36,7 +36,9 @@ def init(
     camera: Annotated[
         list[str] | None, Option(help="NAME=LON,LAT,height=20,azimuth=214,hfov=54; azimuth: true north.")
     ] = None,
-    cameras: Annotated[Path | None, Option(help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")] = None,
+    cameras: Annotated[
+        Path | None, Option(metavar="FILE", help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")
+    ] = None,
     crs: Annotated[str | None, Option(help="Projected CRS. Default: that of --dem, or the UTM zone.")] = None,
     dem: Annotated[list[Path] | None, Option(help="Own DEM: file or folder of tiles, any CRS. Repeatable.")] = None,
     fuel: Annotated[Path | None, Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,

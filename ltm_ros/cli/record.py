@@ -134,7 +134,7 @@ def _names(remap: list[str]) -> dict[str, str]:
 
 
 def import_(
-    images: Annotated[list[Path], Argument(metavar="PHOTOS...", help="Photo, folder, or Sensor Logger recording.")],
+    images: Annotated[list[Path], Argument(metavar="PHOTOS", help="Photo, folder, or Sensor Logger recording.")],
     out: Annotated[Path, Option("--out", help="Bag folder to write.")],
     poses: Annotated[Path | None, Option("--poses", help="CSV, or folder of pose files; they override EXIF.")] = None,
     site: Annotated[Path | None, Option(help="Site file: map frame, DEM, camera names.")] = None,

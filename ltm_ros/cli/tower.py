@@ -132,9 +132,7 @@ the tower should be down for three minutes at most, and going back to the previo
 
 def upgrade(
     package: Annotated[Path, Argument(help="Debian package of a release (`make deb`).")],
-    ready_minutes: Annotated[
-        float, Option(min=0.1, help="Minutes to start; else back to the previous.")
-    ] = READY_MINUTES,
+    ready_minutes: Annotated[float, Option(min=0.1, help="Minutes in which it must be ready.")] = READY_MINUTES,
 ) -> None:
     """Install another release of LTM; if it does not start, the previous one returns. Needs root.
 
