@@ -92,10 +92,6 @@ class FittedImage:
     rows: int
     cols: int
 
-    def photo_part(self) -> UInt8Array:
-        """Return the pixels that show the photo."""
-        return self.pixels[: self.rows, : self.cols]
-
     def without_padding(self, planes: Float32Array) -> Float32Array:
         """Return the part of a network's planes (K, h, w), which cover all pixels, that shows the photo.
 

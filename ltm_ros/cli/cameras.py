@@ -20,6 +20,7 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import dumped, load_site, stated_sections, write_camera
 from ltm_core.site.source_config import SecretConfig
 from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_core.tracing.trace_io import write_pose_file
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.cameras.camera_source import Frame
 from ltm_ros.cameras.opening import source_of
@@ -27,7 +28,6 @@ from ltm_ros.cameras.probe import Found, Placing, completed, lacking, site_entry
 from ltm_ros.cameras.probe import probe as ask
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cli.output import Overwrite, command_group, numbers, print_table, say, warn, working
-from ltm_ros.cli.scene import write_pose
 from ltm_ros.runtime.health import Health
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
@@ -138,7 +138,7 @@ def snapshot(
         say(f"{line}; field of view {frame.camera.hfov_deg:.1f} deg")
         note = f"Image of {camera} at {taken:%Y-%m-%dT%H:%M:%SZ}, by `ltm cameras snapshot`."
         rays = loaded.curvature, loaded.refraction
-        write_pose(files[1], frame.camera, frame.pose, loaded.frame, note, sigmas, rays)
+        write_pose_file(files[1], frame.camera, frame.pose, sigmas, rays, loaded.frame, [note])
     for path in files:
         say(f"  {path}")
 
