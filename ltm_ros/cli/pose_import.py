@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-from rich.markup import escape
 from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError, PoseError
@@ -76,7 +75,7 @@ def import_poses(
     print_table(
         f"{tool}: {len(poses)} poses, tested with {len(seen)} photos",
         ("reading", ">skyline that fits", ">cost", "problem"),
-        [(r.how, _shown(r.fits, ".0%"), _shown(r.cost, ".1f"), escape(r.problem or "")) for r in found],
+        [(r.how, _shown(r.fits, ".0%"), _shown(r.cost, ".1f"), r.problem or "") for r in found],
     )
     how = chosen_reading(found)
     if how is not found[0]:
