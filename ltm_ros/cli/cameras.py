@@ -27,7 +27,7 @@ from ltm_ros.cameras.opening import source_of
 from ltm_ros.cameras.probe import Found, Placing, completed, lacking, site_entry
 from ltm_ros.cameras.probe import probe as ask
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cli.output import Overwrite, Row, command_group, numbers, print_table, say, warn, working
+from ltm_ros.cli.output import Cell, Overwrite, Row, command_group, numbers, print_table, say, warn, working
 from ltm_ros.runtime.health import Health
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
@@ -220,7 +220,8 @@ def _print_found(found: Found) -> None:
         rows.append(("rate", f"{found.rate_hz:.1f} images per second"))
     if found.seconds_each is not None:
         told = f"{found.seconds_each:.2f} s, {'a new' if found.fresh else 'the same'} image each time"
-        rows.append(("response time", told if found.fresh else ("yellow", told)))
+        shown: Cell = told if found.fresh else ("yellow", told)
+        rows.append(("response time", shown))
     if found.clock_ahead_s is not None:
         known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
         rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))

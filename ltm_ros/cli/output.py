@@ -153,7 +153,7 @@ def print_nodes(rows: Sequence[NodeRow]) -> None:
     columns = ["node", ">in", ">out", ">drops", ">p50 ms", ">p95 ms", ">work ms"]
     if any(row.causes for row in rows):
         columns.append("dropped because")
-    cells = []
+    cells: list[Row] = []
     for row in rows:
         times = (row.latency_p50_ms, row.latency_p95_ms, row.work_p50_ms)
         shown = ["" if math.isnan(t) else f"{t:.0f}" for t in times]

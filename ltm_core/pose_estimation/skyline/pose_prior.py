@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
@@ -84,8 +83,13 @@ def angle_slopes(pose: Pose) -> Float64Array:
 
 def rotations_of(angles_deg: Float64Array) -> Float64Array:
     """Return (P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
-    turns = angles_deg * (-1.0, 1.0, 1.0) - (0.0, 90.0, 0.0)
-    return np.asarray(Rotation.from_euler("ZXZ", turns, degrees=True).as_matrix(), np.float64)
+    a, p, r = np.radians(angles_deg).T
+    zero = np.zeros_like(a)
+    forward = np.stack([np.sin(a) * np.cos(p), np.cos(a) * np.cos(p), np.sin(p)], axis=-1)
+    level_right = np.stack([np.cos(a), -np.sin(a), zero], axis=-1)
+    level_down = np.cross(forward, level_right)
+    c, s = np.cos(r)[:, None], np.sin(r)[:, None]
+    return np.stack([c * level_right + s * level_down, c * level_down - s * level_right, forward], axis=-1)
 
 
 def turned(pose: Pose, rotation: Float64Array, shift: Float64Array | None = None) -> Pose:
