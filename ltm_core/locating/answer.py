@@ -44,10 +44,6 @@ class PlaceView:
     hfov_deg: float
     distance: float
 
-    @property
-    def seen(self) -> bool:
-        return self.state is PointState.VISIBLE
-
 
 def place_views(
     sight: PointVisibility, cameras: Sequence[PosedCamera], place: Float64Array, extent: float = 0.0

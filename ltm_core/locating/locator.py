@@ -43,11 +43,6 @@ class Ellipse:
     minor: float
     azimuth_deg: float
 
-    @property
-    def area(self) -> float:
-        """Return the area in square metres."""
-        return math.pi * self.major * self.minor
-
     def outline(self, count: int = 72) -> Float64Array:
         """Return (count + 1, 2) x, y of the closed outline, counter-clockwise."""
         angle, azimuth = np.linspace(0, 2 * np.pi, count + 1)[:, None], math.radians(self.azimuth_deg)

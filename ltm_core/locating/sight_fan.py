@@ -31,11 +31,6 @@ class SightFan:
     levels: UInt8Array
 
     @property
-    def spacing(self) -> float:
-        """Return the largest spacing of azimuths in radians."""
-        return float(np.diff(self.azimuths).max())
-
-    @property
     def widths(self) -> Float64Array:
         """Return (A,) the angle in radians that each azimuth covers."""
         return np.asarray(np.gradient(self.azimuths), np.float64)

@@ -116,7 +116,8 @@ def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float]
     """Return `picture` (of the raster `view`) with round eastings and northings, metres, plus `offset`."""
     height, width = picture.shape[:2]
     size = max(14, round(width / 54))
-    step = round_step(min(width, height) * view.resolution)
+    side = min(width, height) * view.resolution
+    step = max(step for step in one_two_five(side / 100, side) if step * 3 <= side)
     eastings = _ticks(view.x_min + offset[0], view.x_max + offset[0], step)
     northings = _ticks(view.y_min + offset[1], view.y_max + offset[1], step)
     left = max(text_width(_number(n), size) for n in (*northings, 0.0)) + size
@@ -136,11 +137,6 @@ def with_axes(picture: RgbImage, view: GridGeometry, offset: tuple[float, float]
         cv2.line(sheet, (left - size // 3, y), (left, y), INK, 1)
         texts.append((_number(value), left - size * 0.5, min(max(y, size * 0.6), height - size * 0.6), "rm"))
     return draw_texts(sheet, texts, size, INK)
-
-
-def round_step(length: float) -> float:
-    """Return the greatest of 1, 2, 5 times a power of ten that goes into `length` three times or more."""
-    return max(step for step in one_two_five(length / 100, length) if step * 3 <= length)
 
 
 def _ticks(low: float, high: float, step: float) -> list[float]:

@@ -88,7 +88,7 @@ def _votes(site: Site) -> None:
 
 
 def _fuel_map(site: Site) -> None:
-    """Compile also those for a network's two-scale inference."""
+    """Compile the kernels of evidence for the label errors of the site and of its cameras."""
     from ltm_core.fuel.evidence import EvidenceMap
     from ltm_core.fuel.votes import CellVisibility, CellVotes
     from ltm_core.site.networks import camera_label_errors, site_label_errors

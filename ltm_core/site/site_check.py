@@ -129,7 +129,7 @@ def _check_fuel(found: Findings, site: Site, check: SiteCheck) -> None:
 def _check_label_errors(found: Findings, site: Site) -> None:
     """Check whether the labels that vote were ever measured. Raises ConfigError."""
     network, heads = site_label_errors(site), {}
-    with suppress(ModelError):  # `_check_heads` reports a head that cannot be taken
+    with suppress(ModelError):  # `_check_networks` reports a head that cannot be taken
         heads = camera_label_errors(site)
     never = [label_model(site)] if not network.measured and len(heads) < len(site.cameras) else []
     never += sorted({f"label head {site.cameras[name].label_head}" for name, of in heads.items() if not of.measured})

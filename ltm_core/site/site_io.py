@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.strict_model import beside
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import LARGEST_FILE, compose_yaml, load_yaml, parse_yaml, read_text, read_yaml
-from ltm_core.storage.disk_io import is_file
+from ltm_core.storage.disk_io import is_file, sync, written_whole
 
 
 def load_site(path: Path | str) -> Site:
@@ -174,19 +172,12 @@ def dumped(content: dict[str, Any]) -> str:
 
 def replace_site(path: Path, text: str) -> None:
     """Write the text of a site file in place of the old one, whole or not at all. Raises ConfigError if invalid."""
-    # Beside the old file, so that relative paths hold.
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    new = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+    with written_whole(path) as new:  # beside the old file, so that relative paths hold
+        new.write_text(text, encoding="utf-8")
+        new.chmod(path.stat().st_mode & 0o777)
+        sync(new)
         try:
             load_site(new)
         except ConfigError as error:
-            raise ConfigError(f"{path} was not changed: {str(error).replace(str(new), 'with the change')}") from error
-        new.chmod(path.stat().st_mode & 0o777)
-        new.replace(path)
-    finally:
-        new.unlink(missing_ok=True)
+            why = str(error).replace(str(new.resolve()), "with the change")
+            raise ConfigError(f"{path} was not changed: {why}") from error

@@ -190,11 +190,12 @@ def write_pose_file(
     camera: Camera,
     pose: Pose,
     sigmas: Mapping[str, float],
-    guess: GuessConfig,
+    rays: tuple[bool, float],
     frame: SiteFrame,
     notes: Sequence[str],
 ) -> None:
-    """Write a pose file that `ltm trace` reads. `sigmas`: by the keys of a pose file; `notes`: comments at its top."""
+    """Write a pose file that `ltm trace` reads. `sigmas`: by the keys of a pose file; `rays`:
+    curvature and refraction; `notes`: comments at its top."""
     x, y, z = (float(v) for v in pose.position)
     angles = {key: round(angle, 6) for key, angle in zip(_ANGLES, pose.angles_deg, strict=True)}
     lens = {key: round(float(getattr(camera, key)), 4) for key in ("fx", "fy")} | {"cx": camera.cx, "cy": camera.cy}
@@ -203,8 +204,7 @@ def write_pose_file(
     content = {
         "pose": place | angles | dict(sigmas),
         "calibration": {"width": camera.width, "height": camera.height, **lens},
-        "curvature": guess.curvature,
-        "refraction": guess.refraction,
+        **dict(zip(("curvature", "refraction"), rays, strict=True)),
     }
     head = "".join(f"# {note}\n" for note in notes)
     Path(path).write_text(head + yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

@@ -92,10 +92,6 @@ class FittedImage:
     rows: int
     cols: int
 
-    def photo_part(self) -> UInt8Array:
-        """Return the pixels that show the photo."""
-        return self.pixels[: self.rows, : self.cols]
-
     def without_padding(self, planes: Float32Array) -> Float32Array:
         """Return the part of a network's planes (K, h, w), which cover all pixels, that shows the photo.
 
@@ -197,21 +193,6 @@ def as_tensor(image: UInt8Array, spec: InputSpec) -> npt.NDArray[Any]:
     return tensor.astype(spec.dtype, copy=False)[None]
 
 
-def camera_tensor(matrix: Float64Array, shape: tuple[int, ...], size: tuple[int, int]) -> Float64Array:
-    """Return what an input for the camera takes, in its `shape` with 1 for free axes: see `InputSpec.intrinsics`.
-
-    `matrix` (3, 3) and `size` (rows, cols) are those of the network's pixels."""
-    if shape[-2:] == (3, 3):
-        return matrix.reshape(shape)
-    numbers = int(np.prod(shape))
-    if numbers in (1, 4):
-        fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
-        return np.array([fx] if numbers == 1 else [fx, fy, cx, cy]).reshape(shape)
-    rays = pixel_rays(matrix, size)
-    rays /= np.linalg.norm(rays, axis=0)
-    return (rays if shape[-1] != 3 else np.moveaxis(rays, 0, -1))[None]
-
-
 def scaled_matrix(matrix: Float64Array, size: tuple[int, int], to: tuple[int, int]) -> Float64Array:
     """Return the camera matrix (3, 3) of an image of `size` (rows, cols) that is resized `to` (rows, cols)."""
     down, across = to[0] / size[0], to[1] / size[1]
@@ -237,10 +218,19 @@ def image_feed(
 def camera_feed(
     camera: Any, matrix: Float64Array, tensor: npt.NDArray[Any], spec: InputSpec
 ) -> dict[str, npt.NDArray[Any]]:
-    """Return what a graph gets for its input node `camera`; `matrix` is that of the image in `tensor`."""
+    """Return what a graph gets for its input node `camera` (see `InputSpec.intrinsics`), whose free axes count as 1;
+    `matrix` (3, 3) is that of the image in `tensor`."""
     shape = tuple(size if isinstance(size, int) else 1 for size in camera.shape)
-    rows, cols = tensor.shape[-2:] if spec.layout == "NCHW" else tensor.shape[1:3]
-    return {camera.name: camera_tensor(matrix, shape, (rows, cols)).astype(DTYPES[camera.type])}
+    numbers = int(np.prod(shape))
+    if shape[-2:] == (3, 3):
+        given = matrix.reshape(shape)
+    elif numbers in (1, 4):
+        given = matrix[[0, 1, 0, 1], [0, 1, 2, 2]][:numbers].reshape(shape)  # fx, or fx, fy, cx, cy
+    else:
+        rays = pixel_rays(matrix, tensor.shape[-2:] if spec.layout == "NCHW" else tensor.shape[1:3])
+        rays /= np.linalg.norm(rays, axis=0)
+        given = (rays if shape[-1] != 3 else np.moveaxis(rays, 0, -1))[None]
+    return {camera.name: given.astype(DTYPES[camera.type])}
 
 
 def constant_tensor(value: Any, node: Any, size: tuple[int, int]) -> npt.NDArray[Any]:
@@ -258,7 +248,7 @@ def constant_tensor(value: Any, node: Any, size: tuple[int, int]) -> npt.NDArray
     return np.ascontiguousarray(given.astype(DTYPES[node.type]))
 
 
-def pixel_rays(matrix: Float64Array, size: tuple[int, int]) -> Float64Array:
+def pixel_rays(matrix: Float64Array, size: tuple[int, ...]) -> Float64Array:
     """Return x, y, 1 of each pixel's ray (3, rows, cols) for a camera matrix (3, 3)."""
     rows, cols = np.indices(size, dtype=np.float64)
     return np.stack([(cols - matrix[0, 2]) / matrix[0, 0], (rows - matrix[1, 2]) / matrix[1, 1], np.ones_like(rows)])

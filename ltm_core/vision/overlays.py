@@ -26,12 +26,11 @@ _STRAIGHT = 0.7  # minimum share of the bar's length on which it ends within thr
 _TIGHT, _LOOSE = 5.0, 14.0  # grey levels of one colour: if the scene is alike, and after strong compression
 _DRIFT = 3.0  # maximum change of a bar's colour over its rows, or a tenth of the step at its end; skies have more
 _PENUMBRA = 2  # pixels by which a bar is enlarged, because compression mixes its edge with the scene
-_ROUND = 0.8  # minimum agreement (intersection over union) of a corner with a rounded one
 _WORKING_WIDTH = 320  # width at which holes are filled, because the filling is smooth
 
 
 def find_overlay(picture: UInt8Array) -> BoolArray | None:
-    """Return (H, W) bool, True on bars, captions and frames along the edges of an image and round corners, or None."""
+    """Return (H, W) bool, True on bars, captions and frames along the edges of an image, or None."""
     height, width = picture.shape[:2]
     hidden = np.zeros((height, width), np.uint8)
     inner, clear = picture, hidden
@@ -44,7 +43,6 @@ def find_overlay(picture: UInt8Array) -> BoolArray | None:
             inner, clear = inner[thick:], clear[thick:]
         if inner.shape == before:
             break
-    _round_corners(inner, clear)
     if not 0.0 < hidden.mean() < _MOST_HIDDEN:
         return None
     grown = cv2.dilate(hidden, np.ones((2 * _PENUMBRA + 1,) * 2, np.uint8))
@@ -105,45 +103,6 @@ def _off(pixels: NDArray[Any], colour: UInt8Array) -> UInt8Array:
     red, green, blue = cv2.split(np.ascontiguousarray(pixels))
     off = [cv2.absdiff(plane, float(level)) for plane, level in zip((red, green, blue), colour, strict=True)]
     return np.asarray(cv2.max(cv2.max(off[0], off[1]), off[2]), np.uint8)
-
-
-def _round_corners(image: UInt8Array, hidden: UInt8Array) -> None:
-    """Set `hidden` (h, w) in the corners of an image (h, w, 3) if at least three are rounded alike, in one colour."""
-    side = min(image.shape[:2]) // 4
-    if side < 2 * _THINNEST:
-        return
-    turned = [(image[::down, ::right][:side, :side], hidden[::down, ::right]) for down in (1, -1) for right in (1, -1)]
-    ends = np.array([[corner[0, 0] for corner, _ in turned]])
-    colour = np.median(ends[0], axis=0).astype(np.uint8)
-    if (_off(ends, colour) <= 3 * _DRIFT).sum() < 3:
-        return
-    found = np.array([_corner_radius(_off(corner, colour) <= 3 * _DRIFT) for corner, _ in turned])
-    radius = float(np.median(found[found > 0])) if found.any() else 0.0
-    if (np.abs(found[found > 0] - radius) <= (1 - _ROUND) * radius).sum() < 3:
-        return
-    for _, clear in turned:
-        clear[:side, :side][_beyond_arc(radius, side)] = 1
-
-
-def _corner_radius(same: BoolArray) -> float:
-    """Return the radius of the arc that bounds the colour of the upper left corner, (n, n) bool; 0: it is no arc."""
-    side = len(same)
-    if same.diagonal().all():
-        return 0.0
-    # An arc of radius r meets the diagonal at 0.29 r, and leaves 0.21 r^2 of the square outside.
-    reach = min(side, round(1.1 * float(np.argmin(same.diagonal())) / (1 - np.sqrt(0.5))))
-    near = same[:reach, :reach]
-    radius = float(np.sqrt(near.sum() / (1 - np.pi / 4)))
-    outside = _beyond_arc(radius, side)
-    both = (outside[:reach, :reach] & near).sum()
-    return radius if radius >= _THINNEST and both >= _ROUND * (outside.sum() + near.sum() - both) else 0.0
-
-
-def _beyond_arc(radius: float, side: int) -> BoolArray:
-    """Return (side, side) bool, True outside a circle that touches the upper and the left edge."""
-    from_arc = radius - 0.5 - np.arange(side)
-    beyond = np.hypot(from_arc[:, None], from_arc) > radius
-    return np.asarray(beyond & (np.maximum.outer(-from_arc, -from_arc) < 0))
 
 
 def fill_hidden(picture: UInt8Array, hidden: BoolArray) -> UInt8Array:

@@ -201,10 +201,11 @@ class _Recognition:
         return feed
 
     def _run(self, spec: InputSpec) -> dict[str, Values]:
-        feed = self._feed(spec)
         try:
-            found = self.session.run(list(self.outputs), feed, self.quiet)
-        except Exception as reason:  # the runtime's errors have no common base
+            found = self.session.run(list(self.outputs), self._feed(spec), self.quiet)
+        except ModelError:
+            raise
+        except Exception as reason:  # the runtime's errors have no common base; constants may have any shape
             raise ModelError(
                 f"{self.path}: does not run on an image of {spec.width} x {spec.height} pixels ({reason}); state the "
                 "size that it takes: --set input.width=... --set input.height=..."

@@ -120,8 +120,7 @@ class Segmenter:
         height, width = image.shape[:2]
         if self.manifest.output.kind == "ids":
             return self._from_ids(fitted(image, self.manifest.input), height, width)
-        scores, maps = self._answer(image)
-        probabilities = self._label_probabilities(self._corrected(scores, maps))
+        probabilities = self._label_probabilities(self._corrected(image))
         for label, where in unlikely.items():
             for group in np.flatnonzero(self._group_labels == label):
                 less_likely(probabilities, int(group), where)
@@ -157,17 +156,13 @@ class Segmenter:
         _check(image)
         if self.manifest.output.kind == "ids":
             raise ModelError(f"model {self.manifest.name!r} outputs class ids; scores need logits or probabilities")
-        return self._corrected(*self._answer(image))
+        return self._corrected(image)
 
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
         """Return the network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C,
         h', w') of its manifest, on which label heads are trained. Raises as `logits` does."""
         _check(image)
         return self._run(image, tuple(self.manifest.maps))
-
-    def _answer(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
-        """Return the network's own scores (K, h, w) of a photo, and the maps (C, h', w') that a head may read."""
-        return self._run(image, () if self.head is None else self.head.maps)
 
     def _run(self, image: UInt8Array, names: Sequence[str]) -> tuple[Float32Array, dict[str, Float32Array]]:
         spec = self.manifest.input
@@ -180,10 +175,11 @@ class Segmenter:
         maps = [photo.without_padding(planes) for planes in maps]
         return self._scores(output, photo), dict(zip(names, maps, strict=True))
 
-    def _corrected(self, scores: Float32Array, maps: Mapping[str, Float32Array]) -> Float32Array:
-        """Return the scores (K, h, w), corrected in place by the head where there is one."""
+    def _corrected(self, image: UInt8Array) -> Float32Array:
+        """Return the network's scores (K, h, w) of a photo, corrected by the head if there is one."""
+        scores, maps = self._run(image, () if self.head is None else self.head.maps)
         if self.head is not None:
-            self.head.add_to(scores, [maps[name] for name in self.head.maps])
+            self.head.add_to(scores, list(maps.values()))
         return scores
 
     def class_probabilities(self, image: UInt8Array) -> dict[str, Float32Array]:
@@ -212,7 +208,7 @@ class Segmenter:
         for name, offset in spec.offsets.items():
             scores[self.classes.index(name)] += np.float32(offset)
         if spec.redness:
-            against = against_green(photo.photo_part(), *scores.shape[1:])
+            against = against_green(photo.pixels[: photo.rows, : photo.cols], *scores.shape[1:])
             for name, most in spec.redness.items():
                 scores[self.classes.index(name)] -= np.float32(most) * against
         return scores if self._text is None else self._text.scores(scores)
@@ -235,19 +231,12 @@ class Segmenter:
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
 
     def _label_probabilities(self, scores: Float32Array) -> Float32Array:
-        """Return the scores (K, h, w) -> (G, h, w) probability of each label that the network knows."""
-        probabilities = self._probabilities(scores)
-        count, rows, cols = probabilities.shape
-        grouped = self._grouped(probabilities.reshape(count, -1))
-        return np.asarray(np.clip(grouped, 0.0, 1.0), dtype=np.float32).reshape(-1, rows, cols)
-
-    def _grouped(self, scores: Float32Array) -> Float32Array:
-        """Return the sums of the classes (K, N) of each label (G, N); no matrix product, whose threads would spin for
-        cores."""
-        grouped = np.zeros((len(self._group_labels), scores.shape[1]), np.float32)
-        for group, score in zip(self._group_of_class, scores, strict=True):
-            grouped[group] += score
-        return grouped
+        """Return the scores (K, h, w) -> (G, h, w) probability of each known label: the sum of those of its classes,
+        without a matrix product, whose threads would spin for cores."""
+        grouped = np.zeros((len(self._group_labels), *scores.shape[1:]), np.float32)
+        for group, probability in zip(self._group_of_class, self._probabilities(scores), strict=True):
+            grouped[group] += probability
+        return np.clip(grouped, 0.0, 1.0, out=grouped)
 
 
 def mask_scores(masks: Float32Array, queries: Float32Array, count: int) -> Float32Array:

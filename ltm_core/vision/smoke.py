@@ -91,11 +91,6 @@ class SmokeMemory:
         self._slots = np.empty(0, np.uint8)
         self._next = 0
 
-    @property
-    def nbytes(self) -> int:
-        """Return the bytes used, all of them from the first image on."""
-        return self._slots.nbytes
-
     def look(self, picture: UInt8Array, labels: UInt8Array, at_s: float) -> BoolArray | None:
         """Return (H, W) bool, where smoke hides the land in an image (H, W, 3) RGB taken at `at_s`; None: nowhere
         detectable. `labels`: (H, W), land is remembered. An image earlier than the last one is judged but not

@@ -20,14 +20,14 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import dumped, load_site, stated_sections, write_camera
 from ltm_core.site.source_config import SecretConfig
 from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_core.tracing.trace_io import write_pose_file
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.cameras.camera_source import Frame
 from ltm_ros.cameras.opening import source_of
 from ltm_ros.cameras.probe import Found, Placing, completed, lacking, site_entry
 from ltm_ros.cameras.probe import probe as ask
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cli.output import Overwrite, command_group, numbers, print_table, say, warn, working
-from ltm_ros.cli.scene import write_pose
+from ltm_ros.cli.output import Cell, Overwrite, Row, command_group, numbers, print_table, say, warn, working
 from ltm_ros.runtime.health import Health
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
@@ -138,7 +138,7 @@ def snapshot(
         say(f"{line}; field of view {frame.camera.hfov_deg:.1f} deg")
         note = f"Image of {camera} at {taken:%Y-%m-%dT%H:%M:%SZ}, by `ltm cameras snapshot`."
         rays = loaded.curvature, loaded.refraction
-        write_pose(files[1], frame.camera, frame.pose, loaded.frame, note, sigmas, rays)
+        write_pose_file(files[1], frame.camera, frame.pose, sigmas, rays, loaded.frame, [note])
     for path in files:
         say(f"  {path}")
 
@@ -173,10 +173,8 @@ def _checked_address(url: str) -> str:
     try:
         return url_without_secrets(url, ("http", "https", "rtsp", "rtsps"))
     except ValueError as error:
-        raise ConfigError(
-            f"{redacted(url)}: {error}. Give --user NAME and --password-env or --password-file, or type the "
-            "password at the prompt"
-        ) from None
+        how = ". Give --user NAME and --password-env or --password-file, or type the password at the prompt"
+        raise ConfigError(f"{redacted(url)}: {error}{'' if redacted(url) == url else how}") from None
 
 
 def _variable(camera: str) -> str:
@@ -205,11 +203,11 @@ def _secret(
 
 
 def _print_found(found: Found) -> None:
-    rows: list[tuple[str, str]] = []
+    rows: list[Row] = []
 
     def row(what: str, told: str) -> None:
-        """Add a row. Escapes text that cameras wrote, and removes a password from an address."""
-        rows.append((what, escape(plain(told))))
+        """Add a row, without the control characters that a camera may have written."""
+        rows.append((what, plain(told)))
 
     if found.source is not None:
         row("images", f"{found.source['kind']} at {found.source['url']}")
@@ -221,8 +219,9 @@ def _print_found(found: Found) -> None:
     if found.rate_hz is not None:
         rows.append(("rate", f"{found.rate_hz:.1f} images per second"))
     if found.seconds_each is not None:
-        fresh = "a new image each time" if found.fresh else "[yellow]the same image each time"
-        rows.append(("response time", f"{found.seconds_each:.2f} s, {fresh}"))
+        told = f"{found.seconds_each:.2f} s, {'a new' if found.fresh else 'the same'} image each time"
+        shown: Cell = told if found.fresh else ("yellow", told)
+        rows.append(("response time", shown))
     if found.clock_ahead_s is not None:
         known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
         rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))
@@ -233,5 +232,5 @@ def _print_found(found: Found) -> None:
         rows.append(("tilt", f"{reading.tilt_deg:.2f} deg"))
         rows.append(("zoom", f"{reading.zoom:g}"))
     for what, told in found.tried:
-        rows.append((f"[dim]request: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))
+        rows.append((("dim", f"request: {plain(what)}"), ("dim", plain(told))))
     print_table("camera", ("what", "found"), rows)

@@ -13,7 +13,6 @@ from typing import Annotated, Literal
 
 import typer
 from pyproj import Geod
-from rich.markup import escape
 from typer import Option
 
 from ltm_core.base.errors import ConfigError
@@ -36,7 +35,9 @@ def init(
     camera: Annotated[
         list[str] | None, Option(help="NAME=LON,LAT,height=20,azimuth=214,hfov=54; azimuth: true north.")
     ] = None,
-    cameras: Annotated[Path | None, Option(help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")] = None,
+    cameras: Annotated[
+        Path | None, Option(metavar="FILE", help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")
+    ] = None,
     crs: Annotated[str | None, Option(help="Projected CRS. Default: that of --dem, or the UTM zone.")] = None,
     dem: Annotated[list[Path] | None, Option(help="Own DEM: file or folder of tiles, any CRS. Repeatable.")] = None,
     fuel: Annotated[Path | None, Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,
@@ -128,7 +129,7 @@ def _print_sources(sources: list[Source]) -> None:
     rows = []
     for s in sources:
         cells = f"{s.resolution_m:g} m"
-        rows.append((s.name, ", ".join(s.kinds), cells, s.vertical_crs or "", escape(s.licence), escape(s.address)))
+        rows.append((s.name, ", ".join(s.kinds), cells, s.vertical_crs or "", s.licence, s.address))
     print_table("sources, preferred ones first", ("name", "delivers", "cells", "heights", "licence", "address"), rows)
 
 
@@ -136,10 +137,10 @@ def _print_plan(plan: SitePlan) -> None:
     rows = []
     for step in plan.steps:
         if step.source is None or step.plan is None:
-            rows.append((step.key, escape(", ".join(map(str, step.own))), "", "", "", ""))
+            rows.append((step.key, ", ".join(map(str, step.own)), "", "", "", ""))
         else:
             source, year, size = step.source, step.plan.year, f"{step.plan.expected_bytes / 1e6:.1f} MB"
             cells = f"{source.resolution_m:g} m"
-            rows.append((step.key, source.name, cells, "" if year is None else str(year), size, escape(source.licence)))
+            rows.append((step.key, source.name, cells, "" if year is None else str(year), size, source.licence))
     total = f"{plan.crs}; {plan.expected_bytes / 1e6:.1f} MB to fetch"
     print_table(total, ("raster", "source", ">cells", ">year", ">size", "licence"), rows)

@@ -94,8 +94,8 @@ def _show_marks(
     for `out` by name."""
     sightings = [scene.sighting(name, text, smoke) for name, text in marks]
     location = Locator(scene.dem, scene.bend, scene.config).locate(sightings, smoke)
-    posed = [camera.posed for camera in scene.cameras.values()]
-    said = answer(location, scene.sight, scene.frame, posed, scene.prior(), smoke)
+    cameras = list(scene.cameras.values())
+    said = answer(location, scene.sight, scene.frame, cameras, scene.prior(), smoke)
     if not as_json:
         _print_answer(said, scene.frame)
     files: dict[str, bytes] = {}
@@ -174,8 +174,7 @@ def _show_place(
     scene: Scene, target: Float64Array, photo: str | None, as_json: bool, out: Path | None
 ) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
     """Print where cameras see a place unless `as_json`; return that as data, and the place drawn over a photo."""
-    posed = [camera.posed for camera in scene.cameras.values()]
-    views = place_views(scene.sight, posed, target)
+    views = place_views(scene.sight, list(scene.cameras.values()), target)
     fuel = fuel_at(scene.prior(), float(target[0]), float(target[1]))
     known = place_name(scene.frame, *(float(v) for v in target))
     seen_by = [view_data(view, scene.frame) for view in views]

@@ -34,7 +34,8 @@ COMMANDS = {
 }
 """The commands by the heading under which `ltm --help` lists them, each as module.function."""
 
-_PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_PLACE_ERRORS = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC,
+    errno.EDQUOT, errno.EFBIG)  # fmt: skip
 """Errors of a file or file system that the user must fix; it may have changed since the command's checks."""
 
 
@@ -159,7 +160,7 @@ def metavar_of(name: str, text: str, is_path: bool) -> str:
     if is_path:
         kind = re.search(r"file|folder", text.lower().partition(".")[0])
         return kind[0].upper() if kind else "FILE"
-    unit = next((unit for unit in UNITS if re.search(rf"\b{unit}\b", text)), name)
+    unit = next((unit for unit in UNITS if re.search(rf"\b{unit}\b", text, re.IGNORECASE)), name)
     return unit.upper()
 
 

@@ -28,7 +28,7 @@ from ltm_core.vision.overlays import scene_of
 from ltm_core.vision.prompts import labels_of_prompts, prompted
 from ltm_core.vision.recognition import recognise
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.cli.output import print_table, progress_bar, say, working
+from ltm_ros.cli.output import Row, print_table, progress_bar, say, working
 from ltm_ros.recordings.measured_network import measure_network
 
 _SHOWN = 12
@@ -99,17 +99,17 @@ def _measure(name: str, path: Path | None, recordings: list[Path], photos: Path 
 
 
 def _list() -> None:
-    rows: list[tuple[str, ...]] = []
+    rows: list[Row] = []
     faults: list[str] = []
     for name in [*shipped_names(), *added_names()]:
-        cells, state = ["", "", "", ""], "[red]not usable[/red]"
+        cells, state = ["", "", "", ""], ("red", "not usable")
         try:
             manifest = NetworkManifest.find(name)
             spec, what = manifest.input, f", {len(manifest.classes)} classes" if manifest.classes else ""
             output = manifest.output.kind + (", from words" if manifest.text is not None else what)
             size = f"{spec.width} x {spec.height} {spec.dtype}"
             cells = [size, output, manifest.licence, manifest.sha256[:12]]
-            state = f"[green]ready[/green], {OnnxModel(manifest).path.stat().st_size / 1e6:.1f} MB"
+            state = "green", f"ready, {OnnxModel(manifest).path.stat().st_size / 1e6:.1f} MB"
         except ModelError as reason:
             faults.append(str(reason))
         rows.append((f"{name} (default)" if name == DEFAULT_MODEL else name, *cells, state))

@@ -21,7 +21,8 @@ if TYPE_CHECKING:  # rich takes 0.2 s to load, which `ltm --help` does not need
     from ltm_core.raster.dem import Dem
     from ltm_ros.runtime.health import NodeRow
 
-Row = Sequence[str]
+Cell = str | tuple[str, str]  # a text, or a style of rich and the text
+Row = Sequence[Cell]
 
 
 Overwrite = Annotated[bool, Option("--overwrite", help="Overwrite existing files.")]
@@ -71,8 +72,8 @@ def working(what: str) -> Status:
     return Console().status(what)
 
 
-def print_table(title: str, columns: Row, rows: Iterable[Row | None]) -> None:
-    """Print a table. Cells and title may hold markup; escape text that others wrote.
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Row | None]) -> None:
+    """Print a table. Its texts, which may be those of files and cameras, are no markup.
 
     Args:
         title: above the table; "" for none.
@@ -81,8 +82,9 @@ def print_table(title: str, columns: Row, rows: Iterable[Row | None]) -> None:
         rows: the cells of each row; None draws a line between two rows."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    made = Table(title=title or None, title_justify="left", show_header=any(columns))
+    made = Table(title=Text(title, "table.title") if title else None, title_justify="left", show_header=any(columns))
     for name in columns:
         number = name.startswith(">")
         made.add_column(name.removeprefix(">"), justify="right" if number else "left", no_wrap=number, overflow="fold")
@@ -90,7 +92,7 @@ def print_table(title: str, columns: Row, rows: Iterable[Row | None]) -> None:
         if row is None:
             made.add_section()
         else:
-            made.add_row(*row)
+            made.add_row(*(Text(cell) if isinstance(cell, str) else Text(cell[1], cell[0]) for cell in row))
     Console().print(made)
 
 
@@ -110,14 +112,12 @@ def print_doubts(dem: Dem) -> Dem:
 
 def print_findings(rows: Iterable[tuple[str, str, str, str, str]]) -> None:
     """Print the results of checks by area: area, state, the state's style, what was checked, what was found."""
-    from rich.markup import escape
-
     cells: list[Row | None] = []
     last = ""
     for area, state, style, name, found in rows:
         if area != last:
             cells.append(None)
-        cells.append((escape(area) if area != last else "", f"[{style}]{state}[/]", escape(name), escape(found)))
+        cells.append((area if area != last else "", (style, state), name, found))
         last = area
     print_table("", ("", "", "what", "found"), cells)
 
@@ -153,11 +153,11 @@ def print_nodes(rows: Sequence[NodeRow]) -> None:
     columns = ["node", ">in", ">out", ">drops", ">p50 ms", ">p95 ms", ">work ms"]
     if any(row.causes for row in rows):
         columns.append("dropped because")
-    cells = []
+    cells: list[Row] = []
     for row in rows:
         times = (row.latency_p50_ms, row.latency_p95_ms, row.work_p50_ms)
         shown = ["" if math.isnan(t) else f"{t:.0f}" for t in times]
-        drops = f"[red]{row.dropped}[/red]" if row.dropped else "0"
+        drops: Cell = ("red", str(row.dropped)) if row.dropped else "0"
         causes = [row.causes] if row.causes else []
         cells.append((_short(row.node), str(row.received), str(row.published), drops, *shown, *causes))
     print_table("nodes: frames and latency", columns, cells)
@@ -169,10 +169,8 @@ def print_nodes(rows: Sequence[NodeRow]) -> None:
 
 def print_outcome(summaries: Mapping[str, Mapping[str, str]]) -> None:
     """Print the results of a replay: verdicts on depth, cells seen and changed, events."""
-    from rich.markup import escape
-
     if said := outcome(summaries):
-        print_table("results", ("", ""), ((what, escape(how_much)) for what, how_much in said))
+        print_table("results", ("", ""), said)
 
 
 def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-from rich.markup import escape
 from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError, PoseError
@@ -22,17 +21,18 @@ from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConf
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.storage.disk_io import require_files
 from ltm_core.storage.image_io import read_rgb
+from ltm_core.tracing.trace_io import write_pose_file
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli.output import OptionalDems, Overwrite, command_group, open_dems, print_table, say, warn
 from ltm_ros.cli.pose_mount import mount
 from ltm_ros.cli.pose_photo import photo
 from ltm_ros.cli.pose_points import points
-from ltm_ros.cli.scene import write_pose
 from ltm_ros.recordings.importing.foreign_poses import read_foreign_poses, read_transform
 from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
 
 _MOST_TESTED = 3
 """Maximum number of photos by which axes and units are tested."""
+_RAYS = True, 0.13  # curvature and refraction
 _LEAST_FIT = 0.35
 """Minimum share of the photos' skylines on the terrain's below which a warning is printed."""
 
@@ -69,13 +69,13 @@ def import_poses(
     x, y = poses[0].pose(SiteFrame(placed_in), lambda x, y: 0.0, 0.0).position[:2]
     frame = SiteFrame(placed_in, round(x / 1000) * 1000.0, round(y / 1000) * 1000.0)
     local = terrain.in_frame(frame) if terrain is not None else None
-    placement = Placement(frame, local, ray_bend(True, 0.13), geoid_undulation_m)
+    placement = Placement(frame, local, ray_bend(*_RAYS), geoid_undulation_m)
     seen = _photos(poses, photos) if photos is not None and local is not None else {}
     found = readings(poses, placement, seen)
     print_table(
         f"{tool}: {len(poses)} poses, tested with {len(seen)} photos",
         ("reading", ">skyline that fits", ">cost", "problem"),
-        [(r.how, _shown(r.fits, ".0%"), _shown(r.cost, ".1f"), escape(r.problem or "")) for r in found],
+        [(r.how, _shown(r.fits, ".0%"), _shown(r.cost, ".1f"), r.problem or "") for r in found],
     )
     how = chosen_reading(found)
     if how is not found[0]:
@@ -85,6 +85,7 @@ def import_poses(
     elif how.fits is None:
         warn("Axes and units were not tested. To test them, give --dem and --photos.")
     rejected, doubts = 0, []
+    out.mkdir(parents=True, exist_ok=True)
     for stated, name in zip(poses, names, strict=True):
         chosen = alternatives(stated)[how.how]
         placed = placement.placed(chosen)
@@ -95,7 +96,8 @@ def import_poses(
         x, y, z = placed.pose.position
         if local is not None and (doubt := doubt_of_height(z, float(local.elevation_at(x, y)))) is not None:
             doubts.append(f"{stated.name}: {doubt}")
-        write_pose(out / name, placed.camera, placed.pose, frame, f"From {file.name} ({tool}), {how.how}.")
+        note = f"From {file.name} ({tool}), {how.how}."
+        write_pose_file(out / name, placed.camera, placed.pose, {}, _RAYS, frame, [note])
         if picture is not None and stated.name in seen:
             _draw(picture / Path(name).with_suffix(".png"), seen[stated.name][0], chosen, placement, how.how)
     if doubts:

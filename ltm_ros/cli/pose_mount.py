@@ -29,7 +29,7 @@ from ltm_core.storage.disk_io import require_files
 from ltm_core.tracing.trace_io import read_photo
 from ltm_core.vision.masks import Looking
 from ltm_ros.cli.cameras import READINGS
-from ltm_ros.cli.output import Overwrite, print_table, say, warn
+from ltm_ros.cli.output import Overwrite, Row, print_table, say, warn
 from ltm_ros.cli.pose_points import FirstPixel, SigmaPx, parameter_names
 
 
@@ -181,12 +181,12 @@ def _print_mount(stated: MountModel, found: MountModel) -> None:
 def _print_landmarks(found: MountResection) -> None:
     """Print the residuals of landmarks, and the lens at each zoom if it was fitted."""
     off = np.hypot(*found.residuals.T)
-    rows = []
+    rows: list[Row] = []
     for k, name in enumerate(found.points.names):
         reading = [f"{value:.6g}" for value in found.points.readings[k]]
         du, dv = found.residuals[k]
         cells = [name, *reading, f"{du:.2f}", f"{dv:.2f}", f"{off[k]:.2f}"]
-        rows.append(cells if found.used[k] else [f"[red]{cell}" for cell in cells])
+        rows.append(cells if found.used[k] else [("red", cell) for cell in cells])
     title = f"{len(off)} landmarks: median residual {np.median(off):.2f} px"
     columns = ("landmark", ">pan", ">tilt", ">zoom", ">du px", ">dv px", ">residual px")
     print_table(title, columns, rows)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, cast
 
 import numpy as np
-from rich.markup import escape
 from typer import Argument, Option
 
 from ltm_core.base.errors import PoseError
@@ -29,7 +28,7 @@ from ltm_core.storage.config_io import load_yaml
 from ltm_core.storage.disk_io import require_files
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import GuessConfig, read_photo
-from ltm_ros.cli.output import OptionalDems, Overwrite, open_dems, print_table, say, warn
+from ltm_ros.cli.output import OptionalDems, Overwrite, Row, open_dems, print_table, say, warn
 
 FirstPixel = Annotated[
     float, Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5.")
@@ -168,8 +167,8 @@ def _print_points(result: Resection, setup: ResectionSetup, curvature: bool, ref
     x, y, z = (float(v) for v in result.pose.position)
     below = 0.0 if setup.dem is None else float(setup.dem.elevation_at(x, y)) - z
     if below > 0:
-        title += (
-            f"\n[yellow]the fitted camera, at ({x + setup.frame.x_origin:.1f}, {y + setup.frame.y_origin:.1f}) in "
+        warn(
+            f"the fitted camera, at ({x + setup.frame.x_origin:.1f}, {y + setup.frame.y_origin:.1f}) in "
             f"{setup.frame.crs}, is {below:.1f} m below the DEM: `ltm trace` rejects it. Check the height of the guess "
             "and the vertical datums of points and DEM"
         )
@@ -177,7 +176,7 @@ def _print_points(result: Resection, setup: ResectionSetup, curvature: bool, ref
         traced = traced_errors(result, TerrainTracer(setup.dem, curvature, refraction))
         columns += [">trace error", ">over the DEM", "state in the DEM"]
         title += f"\n{_summary(traced)}"
-    rows = []
+    rows: list[Row] = []
     for k, name in enumerate(result.points.names):
         shown = (
             f"{value:.{digits}f}"
@@ -185,12 +184,12 @@ def _print_points(result: Resection, setup: ResectionSetup, curvature: bool, ref
                 (*result.points.pixels[k], *result.residuals[k], result.residual_px[k]), (1, 1, 2, 2, 2), strict=True
             )
         )
-        cells = [escape(name), *shown]
+        cells = [name, *shown]
         if traced is not None:
             off, above = float(traced.errors[k]), float(traced.above_ground[k])
             cells += [f"{off:.2f} m" if traced.met[k] else "no terrain", "" if np.isnan(above) else f"{above:+.1f} m"]
-            cells.append(escape(str(traced.states[k])))
-        rows.append(cells if result.used[k] else [f"[red]{cell}" for cell in cells])
+            cells.append(str(traced.states[k]))
+        rows.append(cells if result.used[k] else [("red", cell) for cell in cells])
     print_table(title, columns, rows)
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
@@ -19,6 +18,7 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_ros.cli.output import (
     Domain,
     Overwrite,
+    Row,
     print_nodes,
     print_outcome,
     print_table,
@@ -134,7 +134,7 @@ def _names(remap: list[str]) -> dict[str, str]:
 
 
 def import_(
-    images: Annotated[list[Path], Argument(metavar="PHOTOS...", help="Photo, folder, or Sensor Logger recording.")],
+    images: Annotated[list[Path], Argument(metavar="PHOTOS", help="Photo, folder, or Sensor Logger recording.")],
     out: Annotated[Path, Option("--out", help="Bag folder to write.")],
     poses: Annotated[Path | None, Option("--poses", help="CSV, or folder of pose files; they override EXIF.")] = None,
     site: Annotated[Path | None, Option(help="Site file: map frame, DEM, camera names.")] = None,
@@ -186,14 +186,14 @@ def import_(
         say(said)
     if site is None:
         say(f"frame: {report.crs}, origin {report.origin}; a site file for it needs a DEM in that CRS")
-    files = [
+    files: list[Row] = [
         ("imported", str(count), f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}")
         for name, count in report.cameras.items()
     ]
-    files += [("[red]rejected", "1", escape(why)) for _, why in report.rejected]
+    files += [(("red", "rejected"), "1", why) for _, why in report.rejected]
     for why, names in _grouped((skipped.why, skipped.path.name) for skipped in report.skipped).items():
         others = ", ..." if len(names) > 3 else ""
-        files.append(("[yellow]skipped", str(len(names)), escape(f"{why} ({', '.join(names[:3])}{others})")))
+        files.append((("yellow", "skipped"), str(len(names)), f"{why} ({', '.join(names[:3])}{others})"))
     print_table(str(report.bag), ("result", ">files", "topics or reason"), files)
 
 

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-from rich.markup import escape
 from typer import Argument, Option
 
 from ltm_core.base.errors import ArchiveError
@@ -67,9 +66,9 @@ def _print_dry_run(planned: Plan) -> None:
     manifest = planned.manifest
     say(f"{len(manifest.frames)} frames found; {manifest.repeated} duplicates ignored")
     failures = (*manifest.unread, *manifest.failures)
-    lost = [(one.place, one.cause, str(one.count), escape(one.why)) for one in failures]
+    lost = [(one.place, one.cause, str(one.count), one.why) for one in failures]
     told = "; ".join(one.why for one in failures)
-    if lost := [*lost, *(("", "damage", "", escape(note)) for note in manifest.damage if note not in told)]:
+    if lost := [*lost, *(("", "damage", "", note) for note in manifest.damage if note not in told)]:
         print_table("not used", ("camera", "cause", ">frames", "first reason"), lost)
 
 

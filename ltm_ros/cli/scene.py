@@ -1,4 +1,4 @@
-"""Open the terrain and cameras of a site, or of pose files; read the marks of `ltm locate`; write pose files."""
+"""Open the terrain and cameras of a site, or of pose files; read the marks of `ltm locate`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras.camera_config import CalibrationConfig, PoseConfig
 from ltm_core.fuel.prior import FuelPrior, load_prior
-from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
-from ltm_core.geometry.pose import Pose
 from ltm_core.locating.region import marked_box, marked_pixel, marked_polygon
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sighting import Sighting
@@ -24,7 +22,7 @@ from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.surface.config import PoseErrorConfig
-from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_picture, write_pose_file
+from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.masks import Looking
@@ -32,17 +30,10 @@ from ltm_ros.cli.output import numbers, open_dems, print_doubts
 
 
 @dataclass(frozen=True, eq=False)
-class ScenedCamera:
+class ScenedCamera(PosedCamera):
     """A camera with its pose and pose covariance (6, 6)."""
 
-    name: str
-    camera: Camera
-    pose: Pose
     covariance: Float64Array
-
-    @property
-    def posed(self) -> PosedCamera:
-        return PosedCamera(self.name, self.camera, self.pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,20 +162,3 @@ def _placed(
             covariance = assumed.covariance() if covariance is None else covariance
             cameras[name] = ScenedCamera(name, calibration.camera(), pose, covariance)
     return cameras
-
-
-def write_pose(
-    path: Path,
-    camera: Camera,
-    pose: Pose,
-    frame: SiteFrame,
-    note: str,
-    sigmas: Mapping[str, float] | None = None,
-    rays: tuple[bool, float] = (True, 0.13),
-) -> None:
-    """Write a pose file. `sigmas`: standard deviations by key; `rays`: curvature and refraction."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    calibration = {"width": camera.width, "height": camera.height, "fx": camera.fx}
-    stated = {"pose": {"x": 0.0, "y": 0.0, "z": 0.0}, "calibration": calibration}
-    guess = GuessConfig.model_validate(stated | dict(zip(("curvature", "refraction"), rays, strict=True)))
-    write_pose_file(path, camera, pose, dict(sigmas or {}), guess, frame, [note])

@@ -48,8 +48,6 @@ def _print_status(said: Mapping[str, Any]) -> None:
     """Print what `TowerStatus.as_dict` returns."""
     from datetime import UTC, datetime
 
-    from rich.markup import escape
-
     wrong = said["wrong"]
     say(f"{said['site']}: {counted(len(wrong), 'problem') if wrong else 'no problems'}", "bold")
     for line in wrong:
@@ -57,25 +55,26 @@ def _print_status(said: Mapping[str, Any]) -> None:
     cameras = []
     for one in said["cameras"]:
         dropped = ", ".join(f"{cause} {count}" for cause, count in sorted(one["dropped"].items()))
-        cells = (
-            one["name"],
-            one["state"],
-            f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}",
-            _seconds(one["frame_age_s"], " ago"),
-            str(one["frames_in"]),
-            str(one["finished"]),
-            dropped,
-            _seconds(one["latency_s"]),
-            one["pose"],
-            one["why"],
+        cameras.append(
+            (
+                one["name"],
+                one["state"],
+                f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}",
+                _seconds(one["frame_age_s"], " ago"),
+                str(one["frames_in"]),
+                str(one["finished"]),
+                dropped,
+                _seconds(one["latency_s"]),
+                one["pose"],
+                one["why"],
+            )
         )
-        cameras.append(tuple(map(escape, cells)))
     nodes = []
     for one in said["nodes"]:
         work = one["values"].get("work_p95_ms")
         counts = (one["values"].get(key, "") for key in ("frames_in", "frames_out", "dropped"))
         cells = (*counts, f"{work} ms" if work else "", one["said"][:80])
-        nodes.append((escape(one["name"]), f"[{STYLES[one['state']]}]{one['state']}[/]", *map(escape, cells)))
+        nodes.append((one["name"], (STYLES[one["state"]], one["state"]), *cells))
     columns = (
         "camera", "state", "since (UTC)", ">newest", ">frames", ">finished", "dropped", ">latency", "pose", "reason"
     )  # fmt: skip
@@ -132,9 +131,7 @@ the tower should be down for three minutes at most, and going back to the previo
 
 def upgrade(
     package: Annotated[Path, Argument(help="Debian package of a release (`make deb`).")],
-    ready_minutes: Annotated[
-        float, Option(min=0.1, help="Minutes to start; else back to the previous.")
-    ] = READY_MINUTES,
+    ready_minutes: Annotated[float, Option(min=0.1, help="Minutes in which it must be ready.")] = READY_MINUTES,
 ) -> None:
     """Install another release of LTM; if it does not start, the previous one returns. Needs root.
 

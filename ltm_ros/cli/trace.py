@@ -16,7 +16,6 @@ from ltm_core.pictures.trace import coverage_picture, depth_picture, map_picture
 from ltm_core.storage.disk_io import require_files
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
-from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.visibility.viewshed import viewshed as covered
 from ltm_ros.cli.output import Crs, Dems, OptionalDems, Overwrite, open_dems, print_table, say, warn, working
 from ltm_ros.cli.scene import open_scene
@@ -106,7 +105,7 @@ def viewshed(
     if (site is None) == (pose is None):
         raise ConfigError("give --site S.yaml, or --pose P.yaml with --dem")
     scene = open_scene(site, [] if pose is None else [f"{pose.stem}={pose}"], dem, crs)
-    views = [camera.posed for camera in scene.cameras.values()]
+    views = list(scene.cameras.values())
     if not views:
         raise ConfigError(f"{site}: no camera has both calibration and pose ({', '.join(scene.skipped)}: from topics)")
     if scene.skipped:
@@ -118,7 +117,8 @@ def viewshed(
         out.parent.mkdir(parents=True, exist_ok=True)
         picture.parent.mkdir(parents=True, exist_ok=True)
         write_coverage(out, coverage, scene.frame)
-        title = _title(views, target_height)
+        what = "the ground" if target_height == 0 else f"a height of {target_height:g} m above the ground"
+        title = f"Number of cameras that see {what}" if len(views) > 1 else f"Where {views[0].name} sees {what}"
         picture.write_bytes(to_png(coverage_picture(coverage, scene.dem, views, title, scene.frame)))
 
     geometry = coverage.geometry
@@ -137,8 +137,3 @@ def viewshed(
     print_table(title, ("", ""), rows)
     for path in (out, picture):
         say(f"  {path}")
-
-
-def _title(views: list[PosedCamera], target_height: float) -> str:
-    what = "the ground" if target_height == 0 else f"a height of {target_height:g} m above the ground"
-    return f"Number of cameras that see {what}" if len(views) > 1 else f"Where {views[0].name} sees {what}"

@@ -46,7 +46,7 @@ def head(
     photos: Annotated[Path, Argument(help="Folder of labelled photos; sites.csv or NAME up to _ is the site.")],
     out: Annotated[str, Option("--out", "-o", help="Name of the label head, or path of its file (.yaml).")],
     model: Annotated[str | None, Option(help="Network, maybe with a label head. Default: the shipped one.")] = None,
-    one_view: Annotated[bool, Option("--one-view", help="All PHOTOS show one view, for which the head is.")] = False,
+    one_view: Annotated[bool, Option("--one-view", help="All PHOTOS show one view; the head is only for it.")] = False,
     licence: Annotated[str, Option(help="Licence of the photos, for the head's file.")] = "",
     ignore: Annotated[str, Option(help="True classes to ignore, separated by commas.", metavar="CLASSES")] = "",
     confidence: Annotated[float, Option(min=0, max=0.99, help="Pixels of lower probability stay unlabelled.")] = 0.4,

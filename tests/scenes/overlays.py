@@ -45,19 +45,6 @@ def _both(*draws: Callable[[UInt8Array], Drawn]) -> Callable[[UInt8Array], Drawn
     return draw
 
 
-def _rounded(photo: UInt8Array) -> Drawn:
-    height, width = photo.shape[:2]
-    edge, radius = round(0.03 * height), round(0.08 * height)
-    clear = np.zeros((height, width), np.uint8)
-    for off in ((0, radius), (radius, 0)):
-        low = edge + off[0], edge + off[1]
-        cv2.rectangle(clear, low, (width - 1 - low[0], height - 1 - low[1]), 1, -1)
-    for u in (edge + radius, width - 1 - edge - radius):
-        for v in (edge + radius, height - 1 - edge - radius):
-            cv2.circle(clear, (u, v), radius, 1, -1)
-    return np.where(clear[..., None] > 0, photo, np.uint8(0)), clear == 0
-
-
 def _boxed(photo: UInt8Array, shown: UInt8Array, top: float, left: float, tall: float, wide: float) -> Drawn:
     height, width = photo.shape[:2]
     rows = slice(round(top * height), round((top + tall) * height))
@@ -101,7 +88,6 @@ FRAMES: dict[str, Callable[[UInt8Array], Drawn]] = {
     "grey beside": _bar("right", 0.06, (30, 30, 30), WHITE),
     "letterbox": _both(_bar("top", 0.05, (0, 0, 0)), _bar("bottom", 0.05, (0, 0, 0))),
     "pillarbox": _both(_bar("left", 0.06, (0, 0, 0)), _bar("right", 0.06, (0, 0, 0))),
-    "rounded frame": _rounded,
 }
 """Overlays that are detected without a mask."""
 MASKED: dict[str, Callable[[UInt8Array], Drawn]] = {

@@ -115,5 +115,5 @@ def recall_memory(path: Path, watch: MountWatch, terms: str) -> bool:
         if not (values[0] >= -slack and np.abs(joint - joint.T).max() <= slack):
             raise StoreError(f"{path}: its angles and tilt_covariance are not a covariance; remove it")
     tilt = memory.tilt_zero, np.array(memory.tilt_covariance)
-    watch.recall(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
+    watch.become(memory.state, PoseCorrection(np.array(memory.rotation), angles, *tilt), memory.reason)
     return True

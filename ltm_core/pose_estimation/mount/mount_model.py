@@ -36,11 +36,6 @@ class PoseCorrection:
         """Return whether the angles of a pose are usable with it."""
         return self.angles is None or bool(self.angles.diagonal().max() < _UNKNOWN)
 
-    @property
-    def held(self) -> bool:
-        """Return whether images have determined it, and still agree with it."""
-        return self.angles is not None and self.known
-
     def applied(self, pose: Pose, covariance: Float64Array) -> tuple[Pose, Float64Array]:
         """Correct a stated pose and its covariance (6, 6) as in `pose_covariance`."""
         if self.angles is not None:
@@ -80,7 +75,7 @@ class MountModel:
     def rotation(self, pan_deg: float, tilt_deg: float) -> Float64Array:
         """Return (3, 3), optical to map."""
         pan, tilt = ptz_angles(pan_deg, tilt_deg, self.pan_sign, self.tilt_sign)
-        return np.asarray(self.base.rotation @ ptz_rotation(pan, tilt + self.tilt_zero), np.float64)
+        return np.asarray(self.base.rotation @ matrix_of_pan_tilt(pan, tilt + self.tilt_zero), np.float64)
 
     def pose(
         self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)
@@ -134,8 +129,3 @@ class MountModel:
 def ptz_angles(pan_deg: float, tilt_deg: float, pan_sign: Sign, tilt_sign: Sign) -> tuple[float, float]:
     """Return pan clockwise and tilt upwards, rad."""
     return pan_sign * math.radians(pan_deg), tilt_sign * math.radians(tilt_deg)
-
-
-def ptz_rotation(pan: float, tilt: float) -> Float64Array:
-    """Return (3, 3) from the camera to the PTZ head at pan 0, tilt 0, both in optical axes."""
-    return matrix_of_pan_tilt(pan, tilt)

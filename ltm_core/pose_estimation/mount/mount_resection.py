@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.pose_estimation.lens import LensPrior
-from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign, ptz_angles, ptz_rotation
+from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign, ptz_angles
 from ltm_core.pose_estimation.points.control_points import PtzPoints
 from ltm_core.pose_estimation.points.resection_adjustment import MAX_OUTLIER_SHARE, OUTLIER_SIGMAS, REMEDY, named
 from ltm_core.pose_estimation.skyline.pose_prior import turned
@@ -265,7 +265,7 @@ def closed_forms(points: PtzPoints, start: MountModel, lens: ZoomLens, bend: flo
     either: Signs = (1, -1)
     found = {}
     for pan, tilt in sorted(itertools.product(either, either), key=lambda s: s != (start.pan_sign, start.tilt_sign)):
-        turns = np.array([ptz_rotation(*ptz_angles(p, t, pan, tilt)) for p, t, _ in points.readings])
+        turns = np.array([matrix_of_pan_tilt(*ptz_angles(p, t, pan, tilt)) for p, t, _ in points.readings])
         best = _best_rotation(np.einsum("nij,nj->ni", turns, rays), sights, start)
         if best is not None:
             base = Pose(start.base.position, best)

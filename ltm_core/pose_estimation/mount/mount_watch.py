@@ -74,10 +74,6 @@ class MountWatch:
         """Turn (rad) of each clear image of a known mount, where it exceeds the errors."""
         self._horizons: dict[tuple[object, ...], tuple[TerrainHorizon, ContourDirections]] = {}
 
-    def recall(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
-        """Continue from the result of a previous monitor of the same mount."""
-        self._become(state, correction, reason)
-
     def look(self, evidence: PictureEvidence, stated: Pose, covariance: Float64Array) -> bool:
         """Process an image whose pose is stated with a covariance, (6, 6) as in `pose_covariance`; return whether it
         was clear. Raises PoseError for a camera beside the DEM or under its ground."""
@@ -118,7 +114,7 @@ class MountWatch:
                 f"{len(self._contradictions)} clear images show the terrain {_turn(self._contradictions, 1)} from the "
                 "stated pose, which exceeds its sigmas: correct one of them"
             )
-            self._become(MountState.CONTRADICTED, self._nowhere(), reason)
+            self.become(MountState.CONTRADICTED, self._nowhere(), reason)
         return True
 
     def _fit(self) -> None:
@@ -132,18 +128,20 @@ class MountWatch:
                 tilt_zero += before.tilt_zero
             angles = np.asarray(fit.covariance[3:6, 3:6], np.float64)
             found = PoseCorrection(rotation, angles, tilt_zero, fit.covariance[6, 3:7])
-            self._become(MountState.HELD, found, fit.reason)
+            self.become(MountState.HELD, found, fit.reason)
         elif fit.word == "contradicts_prior":
-            self._become(MountState.CONTRADICTED, self._nowhere(), fit.reason)
+            self.become(MountState.CONTRADICTED, self._nowhere(), fit.reason)
         elif len(self._searches) >= self._config.most_gathered:
             half = len(self._searches) // 2  # the others may show more, under another sky
             del self._priors[:half], self._searches[:half]
 
     def _nowhere(self) -> PoseCorrection:
-        """Return the correction so far, of which it is no longer known that it is right."""
-        return PoseCorrection(self.correction.rotation, unknown_angles(), self.correction.tilt_zero)
+        """Return the correction so far with unknown angles, with which nothing is located."""
+        unknown = np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2
+        return PoseCorrection(self.correction.rotation, unknown, self.correction.tilt_zero)
 
-    def _become(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
+    def become(self, state: MountState, correction: PoseCorrection, reason: str) -> None:
+        """Set the state, found by this monitor or by a previous one of the same mount."""
         self.state, self.correction, self.reason = state, correction, reason
         self._priors.clear()
         self._searches.clear()
@@ -186,7 +184,7 @@ class MountWatch:
             f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
             f"{_turn(elsewhere, 2)}"
         )
-        self._become(MountState.SLIPPED, self._nowhere(), reason)
+        self.become(MountState.SLIPPED, self._nowhere(), reason)
 
     def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
         return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior)[0])
@@ -211,11 +209,6 @@ def _turn(turns: list[Float64Array], digits: int) -> str:
     """Return the median of turns (rad) in words."""
     angles = ", ".join(f"{angle:+.{digits}f}" for angle in np.degrees(np.median(turns, axis=0)))
     return f"{angles} deg in azimuth, pitch and roll"
-
-
-def unknown_angles() -> Float64Array:
-    """Return (3, 3) the covariance of unknown angles, with which nothing is located."""
-    return np.eye(3) * math.radians(UNKNOWN_AZIMUTH_SIGMA_DEG) ** 2
 
 
 def clearer_turn(

@@ -141,7 +141,8 @@ def write_pose(path: Path | str, result: Resection, guess: GuessConfig, frame: S
     if result.outliers:
         notes.append(f"Left out as outliers: {', '.join(result.outliers)}")
     sigmas = sigma_keys(result.pose, result.pose_covariance)
-    write_pose_file(path, result.camera, result.pose, sigmas, guess, frame, notes)
+    rays = guess.curvature, guess.refraction
+    write_pose_file(path, result.camera, result.pose, sigmas, rays, frame, notes)
 
 
 def held_notes(result: Resection) -> list[str]:

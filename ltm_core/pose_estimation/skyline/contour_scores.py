@@ -84,10 +84,14 @@ def _directions(azimuth: Float64Array, tangent: Float64Array) -> Float64Array:
 
 def contour_scores(
     rotations: Float64Array, directions: ContourDirections, camera: Camera, edges: ImageContours
-) -> Float64Array:
+) -> tuple[Float64Array, Float64Array]:
     """Return the scores (P,) of rotations (P, 3, 3), optical to map, of an undistorted camera of the photo's size: the
-    sum of responses over what they are in the mean of the image, by the root of their number."""
-    return scores_and_counts(rotations, directions, camera, edges)[0]
+    sum of responses over what they are in the mean of the image, by the root of their number; and their number (P,)."""
+    mean = edges.response.mean(axis=(1, 2), dtype=np.float64)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    turns, d = np.ascontiguousarray(rotations, np.float64), directions
+    scores, counts = _scores(turns, d.here, d.following, lens, edges.response, edges.scale, mean)
+    return scores, counts
 
 
 def usual_score(scores: Float64Array) -> tuple[float, float]:
@@ -102,24 +106,13 @@ def ridge_strength(
     """Return the strength of edges on the ridges of a pose in multiples of chance; ridges within 8 pixels count as one.
     `step`: radians of azimuth between the contours' points."""
     around = directions.in_view(pose, camera, _MOST_POINTS)
-    scores, counts = scores_and_counts(pose.rotation[None], around, camera, edges)
+    scores, counts = contour_scores(pose.rotation[None], around, camera, edges)
     count = float(counts[0])
     if count < 5:
         return 0.0
     excess = float(scores[0]) * math.sqrt(count + 20.0) / count
     length = count * around.every * step * camera.fx / edges.scale
     return excess * math.sqrt(length / _ONE_EDGE) / _SPREAD
-
-
-def scores_and_counts(
-    rotations: Float64Array, directions: ContourDirections, camera: Camera, edges: ImageContours
-) -> tuple[Float64Array, Float64Array]:
-    """Return the scores (P,) as in `contour_scores`, and how many points (P,) lie in view."""
-    mean = edges.response.mean(axis=(1, 2), dtype=np.float64)
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    turns = np.ascontiguousarray(rotations, np.float64)
-    scores, counts = _scores(turns, directions.here, directions.following, lens, edges.response, edges.scale, mean)
-    return scores, counts
 
 
 @kernel(nogil=True)

@@ -168,10 +168,6 @@ class VerdictConfig:
     """Maximum deviation from the prior pose in sigmas of an otherwise good pose. It is below
     `SearchConfig.reach_sigmas`, because alternatives beyond the edge of the search are unknown."""
 
-    def support_asked(self, sigma_deg: float) -> float:
-        """Return the minimum share of the skyline that must fit if the worst angle has the sigma `sigma_deg`."""
-        return self.sharp_support if sigma_deg <= self.sharp_sigma_deg else self.least_support
-
     def gap_asked(self, veiled: float, variance: float) -> float:
         """Return the minimum gap if plants may hide this share of the skyline. Misfits of a small `variance` separate
         poses better than stated; large ones do not reduce the cost."""

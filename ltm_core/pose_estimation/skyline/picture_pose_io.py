@@ -112,7 +112,8 @@ def write_result(
     notes = [f"Pose from the photo: {word} ({reason})."]
     if not result.accepted:
         notes.append("The result was rejected: this is the given pose.")
-    write_pose_file(path, result.camera, result.pose, sigma_keys(result.pose, result.covariance), guess, frame, notes)
+    sigmas, rays = sigma_keys(result.pose, result.covariance), (guess.curvature, guess.refraction)
+    write_pose_file(path, result.camera, result.pose, sigmas, rays, frame, notes)
 
 
 def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: SiteFrame) -> dict[str, Any]:

@@ -190,8 +190,8 @@ def judge(
             told = f", and plants on near crests may hide {seen.veiled:.0%} of the horizon"
     if gap < least:
         return verdict(f"azimuth {other:.1f} deg costs only {gap:.1f} more{told}")
-    asked = v.least_support if open_view else v.support_asked(max(sigma))
-    if not by_ridges and seen.support < (asked if gap_by_ridges is None else v.sharp_support):
+    sure = gap_by_ridges is not None or (not open_view and max(sigma) <= v.sharp_sigma_deg)
+    if not by_ridges and seen.support < (v.sharp_support if sure else v.least_support):
         return verdict(f"only {seen.support:.0%} of the photo's skyline fits the terrain's")
     away_by = np.abs(prior.deviation(best.refined.pose)[3:]) / prior.sigmas[3:]
     if away_by.max() > v.contradiction:

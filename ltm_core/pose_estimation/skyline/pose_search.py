@@ -57,10 +57,10 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     found: list[tuple[float, Float64Array, Camera]] = []
     for factor in focal_candidates(problem.focal_sigma):
         lens = evidence.camera.zoomed(factor)
-        scores = contour_scores(rotations_of(grid), few, lens, evidence.coarse_edges) - _prior_cost(grid, prior)
+        scores = contour_scores(rotations_of(grid), few, lens, evidence.coarse_edges)[0] - _prior_cost(grid, prior)
         first = grid[np.argsort(-scores)[: 16 * _KEPT]]
         nearby = (first[:, None] + _NEARBY).reshape(-1, 3)
-        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges) - _prior_cost(nearby, prior)
+        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges)[0] - _prior_cost(nearby, prior)
         scores, each = scores.reshape(len(first), -1), nearby.reshape(len(first), -1, 3)
         best = scores.argmax(axis=1)
         found += [(float(scores[k, j]), each[k, j], lens) for k, j in enumerate(best.tolist())]
@@ -173,9 +173,9 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     def hypothesis_from(pose: Pose, camera: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
         around = ridges.in_view(pose, camera, config.contours.most_points)
         refined = refine(pose, camera, problem, around, rounds)
-        score = float(contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)[0])
-        ridge = float(_ridge_cost(np.array([score]), usual, spread, config)[0])
-        return Hypothesis(refined, refined.cost + ridge, (score - usual) / spread)
+        score, _ = contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)
+        ridge = float(_ridge_cost(score, usual, spread, config)[0])
+        return Hypothesis(refined, refined.cost + ridge, (float(score[0]) - usual) / spread)
 
     found = sorted((hypothesis_from(*start, ROUNDS) for start in starts), key=lambda hypothesis: hypothesis.cost)
     # Along a smooth slope a pose has not settled when its rounds end: those that the mean will be of go on.
@@ -198,7 +198,7 @@ def _best_over_pitch(
     for offset in _PITCHES_DEG:
         c, s = math.cos(math.radians(offset)), math.sin(math.radians(offset))
         up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])  # about the camera's x axis
-        best = np.maximum(best, contour_scores(rotations @ up, ridges, camera, evidence.coarse_edges))
+        best = np.maximum(best, contour_scores(rotations @ up, ridges, camera, evidence.coarse_edges)[0])
     return best
 
 

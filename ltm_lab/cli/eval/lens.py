@@ -39,7 +39,7 @@ def lens(
         for s in held_out
     ]
     if rows:
-        columns = ("fit", ">points", ">inside 95 %", ">RMSE px", ">median px", ">median px, fitted")
+        columns = ("fit", "points", "inside 95 %", "RMSE px", "median px", "median px, fitted")
         print_table(console, "held-out points of the webcam", columns, rows)
     trials = run_finse(finse, kind, starts) if finse else []
     for folder in folders or []:
@@ -48,7 +48,7 @@ def lens(
     print_table(
         console,
         title,
-        ("case", "verdict", ">azimuth", ">pitch", ">roll", ">sigmas", ">k1", "names the lens"),
+        ("case", "verdict", "azimuth", "pitch", "roll", "sigmas", "k1", "names the lens"),
         [
             (t.case, t.verdict, *(f"{e:+.3f}" for e in t.error), " ".join(f"{s:.2f}" for s in t.sigma), f"{t.k1:+.3f}",
              "yes" if t.names_lens else "")

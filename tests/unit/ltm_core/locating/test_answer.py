@@ -89,7 +89,7 @@ def test_seen_and_outside() -> None:
     towards = PosedCamera("a", CAMERA, Pose.from_angles((-900.0, 1300.0, 180.0), 36.0, -1.0))
     away = PosedCamera("b", CAMERA, Pose.from_angles((-900.0, 1300.0, 180.0), 216.0, -1.0))
     first, second = place_views(sight, [towards, away], place)
-    assert first.seen
+    assert first.state is PointState.VISIBLE
     assert first.hidden_by is None
     assert second.state is PointState.OUTSIDE
     assert second.pixel is None

@@ -221,6 +221,7 @@ def test_dense_embeddings_are_compared_with_words(tmp_path: Path, export: str, l
         ("segformer", ["output.name=scores"], "scores"),
         ("segformer", ["input.constants.task=3"], "task"),
         ("segformer", ["normalise=caffe"], "caffe"),
+        ("segformer", ["input.constants.pixel_values=[[1, 2], [3]]"], "inhomogeneous"),
         ("segformer", ["colour=red"], "colour"),
         ("segformer", ["input=5"], "input"),
         ("zoedepth", ["classes=[sky]"], "classes"),

@@ -166,6 +166,9 @@ def test_a_password_in_the_address_is_refused_without_repeating_it(url: str) -> 
     with pytest.raises(ConfigError, match="--password-env") as told:
         run("probe", url)
     assert "s3cret" not in str(told.value)
+    with pytest.raises(ConfigError, match=r"^ftp://camera: expected a URL") as told:
+        run("probe", "ftp://camera")
+    assert "--password-env" not in str(told.value)
 
 
 MOUNT = {"x": 480_575.0, "y": 4_150_485.0, "height_above_ground": 45.0, "azimuth_deg": 30.0, "pitch_deg": 0.4}

@@ -122,6 +122,7 @@ def _raising(error: Exception) -> None:
             OSError(errno.ENOSPC, "No space left on device", "out/map.png"),
             "ltm: out/map.png: No space left on device\n",
         ),
+        (FileNotFoundError(errno.ENOENT, "No such file or directory", "photos"), "ltm: photos: No such file"),
         (
             ModuleNotFoundError("No module named 'rerun'", name="rerun.blueprint"),
             "ltm: needs rerun.blueprint: pip install 'ltm[view]', or see `ltm doctor`\n",

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from ltm_ros.cli.output import outcome, print_nodes
+from ltm_ros.cli.output import outcome, print_nodes, print_table
 from ltm_ros.runtime.health import Health, node_rows
 
 
@@ -33,3 +33,9 @@ def test_reasons_keep_their_brackets(capsys: pytest.CaptureFixture[str], monkeyp
     said = capsys.readouterr().out
     assert "dropped by pose: pose is in frame [odom], expected [map]" in said
     assert "4 m" not in said, "one reason a cause will do, the first"
+
+
+def test_names_of_files_in_a_table_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table("of [/a].jpg", ("photo", ">size"), [("[/b].jpg", "1"), (("red", "[bold]c.jpg"), "2")])
+    said = capsys.readouterr().out
+    assert all(name in said for name in ("of [/a].jpg", "[/b].jpg", "[bold]c.jpg"))

@@ -75,7 +75,7 @@ def test_a_lean_alone_turns_into_no_tilt_zero() -> None:
 def test_a_restart_keeps_it(tmp_path: Path) -> None:
     kept, path = MountWatch(terrain(), CONFIG), memory_file(tmp_path, "mast")
     found = PoseCorrection(LEAN, np.eye(3) * 1e-6, 0.014, np.array([1e-8, 0.0, -1e-8, 2e-6]))
-    kept.recall(MountState.HELD, found, "4 pictures agree")
+    kept.become(MountState.HELD, found, "4 pictures agree")
     write_memory(path, kept, "terms")
     again = MountWatch(terrain(), CONFIG)
     assert recall_memory(path, again, "terms")
@@ -96,7 +96,7 @@ def test_a_restart_keeps_it(tmp_path: Path) -> None:
 )
 def test_a_damaged_file_is_not_taken(tmp_path: Path, damage: dict[str, object]) -> None:
     kept, path = MountWatch(terrain(), CONFIG), memory_file(tmp_path, "mast")
-    kept.recall(MountState.HELD, PoseCorrection(LEAN, np.eye(3) * 1e-6), "4 pictures agree")
+    kept.become(MountState.HELD, PoseCorrection(LEAN, np.eye(3) * 1e-6), "4 pictures agree")
     write_memory(path, kept, "terms")
     path.write_text(json.dumps(json.loads(path.read_text()) | damage))
     again = MountWatch(terrain(), CONFIG)
