@@ -15,9 +15,9 @@ from ltm_core.storage.config_io import checked, load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.network_image import InputSpec
 
-DEFAULT_MODEL: Final = "landscape_v3"
+DEFAULT_MODEL: Final = "landscape_v4"
 """Default segmentation network."""
-DEFAULT_DEPTH_MODEL: Final = "landscape_v3_depth"
+DEFAULT_DEPTH_MODEL: Final = "landscape_v4_depth"
 """Default depth network: the second output of the same file."""
 
 
