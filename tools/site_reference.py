@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from ltm_core.base.strict_model import is_expert, is_written, section_models
+from ltm_core.base.strict_model import is_expert, section_models
 from ltm_core.site.site import Site
 
 GROUPS: dict[str, tuple[str, ...]] = {
@@ -79,7 +79,7 @@ def keys(
         owner = _owner(model, name)
         if (model, name) == (Site, "coarser") or (owner, name) in seen:
             continue
-        path, tuning, found_out = f"{above}{name}", expert or is_expert(field), written or is_written(field)
+        path, tuning, found_out = f"{above}{name}", expert or is_expert(field), written or "written" in field.metadata
         yield Key(path, (), type_of(field), default_of(field), meanings(model).get(name, ""), tuning, found_out)
         seen |= set() if tuning else {(owner, name)}
         models = section_models(field.annotation)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -75,3 +77,25 @@ class SiteFinding:
     def of(cls, area: str, name: str, error: LtmError | str, verdict: SiteVerdict = SiteVerdict.WRONG) -> SiteFinding:
         """Return the finding of an error or a warning; its lines are joined into one."""
         return cls(area, name, verdict, "; ".join(line.strip() for line in str(error).splitlines()).replace(":;", ":"))
+
+
+class Findings(list[SiteFinding]):
+    """The findings of checks, in order."""
+
+    def ok(self, area: str, name: str, said: str) -> None:
+        self.append(SiteFinding(area, name, SiteVerdict.OK, said))
+
+    def doubt(self, area: str, name: str, said: str) -> None:
+        self.append(SiteFinding.of(area, name, said, SiteVerdict.DOUBTFUL))
+
+    def weighed(self, area: str, name: str, found: str, doubts: list[str]) -> None:
+        """Add what was found, doubtful if there are doubts, which follow it."""
+        (self.doubt if doubts else self.ok)(area, name, "; ".join([found, *doubts]))
+
+    @contextmanager
+    def errors(self, area: str, name: str) -> Iterator[None]:
+        """Turn an LtmError in the block into a finding."""
+        try:
+            yield
+        except LtmError as error:
+            self.append(SiteFinding.of(area, name, error))

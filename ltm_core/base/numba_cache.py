@@ -52,24 +52,19 @@ def use_own_cache(source: Path) -> Path | None:
     for parent in (beside, Path.home() / ".cache/ltm", Path(tempfile.gettempdir()) / f"ltm-{os.getuid()}"):
         folder = parent / f"{_PREFIX}{state}{level and '-'}{level}"
         try:
-            if parent == beside:
-                parent.mkdir(parents=True, exist_ok=True)
-            elif not _own(parent):
+            if not _usable(parent, parent == beside):
                 continue
             if level and not folder.exists():
                 _copy(source / PRECOMPILED / precompiled_name(state, level), folder)
-            if parent == beside:
-                folder.mkdir(exist_ok=True)
-            elif not _own(folder):
+            if not _usable(folder, parent == beside) or not os.access(folder, os.W_OK):
                 continue
         except OSError:
             continue
-        if os.access(folder, os.W_OK):
-            os.environ[_VARIABLE] = str(folder)
-            if "numba" in sys.modules:
-                sys.modules["numba"].config.CACHE_DIR = str(folder)
-            _forget_former(parent, folder)
-            return folder
+        os.environ[_VARIABLE] = str(folder)
+        if "numba" in sys.modules:
+            sys.modules["numba"].config.CACHE_DIR = str(folder)
+        _forget_former(parent, folder)
+        return folder
     return None
 
 
@@ -92,10 +87,8 @@ def _precompiled_level(source: Path, state: str) -> str:
     """Return the level of the release's kernels to use, empty if it has none for this source and this processor."""
     if not (source / PRECOMPILED).is_dir() or "NUMBA_CPU_NAME" in os.environ:
         return ""
-    found = (
-        level for level in levels_of(cpu_flags()) if (source / PRECOMPILED / precompiled_name(state, level)).is_dir()
-    )
-    return next(found, "")
+    usable = (x for x in levels_of(cpu_flags()) if (source / PRECOMPILED / precompiled_name(state, x)).is_dir())
+    return next(usable, "")
 
 
 def cpu_flags() -> frozenset[str]:
@@ -111,11 +104,8 @@ def _copy(precompiled: Path, folder: Path) -> None:
     """Copy a release's kernels in one step, because other processes start at the same time."""
     partial = Path(tempfile.mkdtemp(prefix=f"{folder.name}.", dir=folder.parent))
     try:
-        for file in precompiled.rglob("*"):
-            if file.is_file():
-                target = partial / file.relative_to(precompiled)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(file, target)
+        shutil.copytree(precompiled, partial, dirs_exist_ok=True, copy_function=shutil.copyfile)
+        partial.chmod(0o700)  # not the release's mode
         partial.rename(folder)
     except OSError:
         shutil.rmtree(partial, ignore_errors=True)
@@ -152,13 +142,13 @@ def _imports(text: bytes) -> Iterator[bytes]:
             yield package + b"." + name
 
 
-def _own(folder: Path) -> bool:
-    """Create a missing folder; return whether it is ours and inaccessible to other users. A link is not accepted,
-    because its target may change."""
+def _usable(folder: Path, in_source: bool) -> bool:
+    """Create a missing folder; return whether it is in the source, or ours and inaccessible to other users. A link is
+    not accepted, because its target may change."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    folder.mkdir(mode=0o700, exist_ok=True)
+    folder.mkdir(mode=0o777 if in_source else 0o700, exist_ok=True)
     found = folder.lstat()
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    return in_source or (stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077)
 
 
 def _forget_former(parent: Path, current: Path) -> None:

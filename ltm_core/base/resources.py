@@ -15,8 +15,7 @@ def config_path(name: str) -> Path:
 
 
 def project_path(name: str) -> Path:
-    """Return a file or folder that ships with the project, such as `bags/demo`. Raises ConfigError, as `config_path`
-    does."""
+    """Return a file or folder that ships with the project, such as `bags/demo`. Raises as `config_path` does."""
     prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     roots = [Path(__file__).parents[2], *(Path(prefix) / "share/ltm" for prefix in (sys.prefix, *prefixes))]
     for root in roots:

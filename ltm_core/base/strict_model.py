@@ -44,10 +44,6 @@ def is_expert(field: FieldInfo) -> bool:
     return "expert" in field.metadata
 
 
-def is_written(field: FieldInfo) -> bool:
-    return "written" in field.metadata
-
-
 def section_models(annotation: object) -> list[type[BaseModel]]:
     """Return the classes of a section: several for a union, such as the kinds of a source."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

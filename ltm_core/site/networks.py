@@ -104,8 +104,7 @@ def prompt_segmenter(site: Site, model: str, prompt: str, threads: int = 1) -> S
 
 
 def site_scene_filter(site: Site, camera: str) -> SceneFilter:
-    """Return the scene filter of a camera. Raises ConfigError for a camera that the site lacks, and for an invalid
-    mask."""
+    """Return the scene filter of a camera. Raises ConfigError for an unknown camera or an invalid mask."""
     config = site.camera(camera)
     where, calibration = f"cameras.{camera}", config.calibration
     longitude, latitude = (float(np.radians(angle)) for angle in site.frame.to_lonlat(0.0, 0.0))

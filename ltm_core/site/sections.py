@@ -39,8 +39,7 @@ class FuelConfig(StrictModel):
     resolution: float = Field(30.0, gt=0)
     """Cell size in metres; LANDFIRE uses 30."""
     phase: float = 15.0
-    """Offset of the cell edges in metres: edges lie at `phase` modulo `resolution` in the site's CRS (LANDFIRE: 15
-    modulo 30)."""
+    """Offset of the cell edges in metres, modulo `resolution` in the site's CRS (LANDFIRE: 15 modulo 30)."""
     max_range: Expert[float] = Field(6000.0, gt=0)
     """Range in metres beyond which a pixel does not vote, because its footprint is too coarse."""
     growth: GrowthLimits = GrowthLimits()
@@ -101,8 +100,7 @@ class TopicsConfig(StrictModel):
 
 class CameraConfig(StrictModel):
     image: Literal["auto", "compressed", "raw"] = "auto"
-    """Image topic: `compressed` is `image_raw/compressed` (JPEG or PNG), `raw` is `image_raw`; `auto` takes what there
-    is."""
+    """Image topic: `compressed`: `image_raw/compressed` (JPEG or PNG); `raw`: `image_raw`; `auto`: what there is."""
     topics: TopicsConfig = TopicsConfig()
     """Names of the camera's input topics, if they are not `/<site>/<camera>/...`."""
     calibration: CalibrationConfig | None = None
@@ -112,11 +110,9 @@ class CameraConfig(StrictModel):
     sensors: SensorsConfig | None = None
     """Sensors that give the pose instead of the pose topic: the topics `fix` (NavSatFix) and `imu` (Imu)."""
     mask: MaskConfig | None = None
-    """Parts of the image that never show the landscape: a PNG in the site file's folder, or polygons (see `ltm mask`).
-    None: no mask."""
+    """Parts of the image that never show the landscape: a PNG beside the site file, or polygons (`ltm mask`)."""
     view_masks: Written[tuple[ViewMask, ...]] = Field((), max_length=MOST_VIEW_MASKS)
-    """Additional masks of a turning camera, each for one viewing direction. An image that matches none of them has only
-    `mask`."""
+    """Additional masks of a turning camera, each for one viewing direction; other images have only `mask`."""
     label_head: str = SHIPPED_LABEL_HEAD
     """Label head of the segmentation network for this camera: `landscape` is the network's own; others are trained
     (`ltm train head`). Give a name, or a path relative to the site's folder of label heads."""
@@ -134,51 +130,38 @@ class CameraConfig(StrictModel):
     vote. False: each image is judged alone, so that an archive and a replay give the same map."""
 
     @model_validator(mode="after")
-    def _one_pose(self) -> Self:
+    def _sections_agree(self) -> Self:
         given = [name for name in ("pose", "sensors", "mount") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(
                 f"give either {' or '.join(given)}, not both: a camera is fixed (pose), turns on a PTZ head (mount), "
                 "or has sensors for its pose (sensors)"
             )
-        if self.mount is not None and self.mount.lens is not None and self.calibration is not None:
+        lens = None if self.mount is None else self.mount.lens
+        if lens is not None and self.calibration is not None:
             raise ValueError("give either calibration (fixed lens) or mount.lens (zoom), not both")
-        return self
-
-    @model_validator(mode="after")
-    def _views_turn(self) -> Self:
         if self.view_masks and self.pose is not None:
             raise ValueError("view_masks are for a camera that turns; for a camera with a pose write `mask`")
         names = [view.name for view in self.view_masks]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"view_masks: {', '.join(twice)} is repeated; give each view its own name")
-        return self
-
-    @model_validator(mode="after")
-    def _ptz_needs(self) -> Self:
-        if self.ptz is None:
-            return self
-        if self.mount is None:
-            raise ValueError("ptz needs mount, which converts the readings of the PTZ head to a pose")
-        if self.source is None:
-            raise ValueError("ptz needs source: the PTZ head is queried before and after each image")
-        if self.ptz.url is None and not isinstance(self.source, NetworkSettings):
-            raise ValueError(
-                f"a source of kind {self.source.kind} has no address: give the address of the PTZ head as ptz.url"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _source_needs(self) -> Self:
-        if self.source is None:
-            return self
-        if self.calibration is None and (self.mount is None or self.mount.lens is None):
-            raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
-        if self.topics != TopicsConfig():
-            raise ValueError("a camera with a source publishes on its own topics: leave topics out")
-        if self.image == "raw" and self.source.kind != "rtsp":
-            raise ValueError(f"a source of kind {self.source.kind} publishes the camera's JPEGs: leave image out")
+        source = self.source
+        if self.ptz is not None:
+            if self.mount is None:
+                raise ValueError("ptz needs mount, which converts the readings of the PTZ head to a pose")
+            if source is None:
+                raise ValueError("ptz needs source: the PTZ head is queried before and after each image")
+            if self.ptz.url is None and not isinstance(source, NetworkSettings):
+                raise ValueError(
+                    f"a source of kind {source.kind} has no address: give the address of the PTZ head as ptz.url"
+                )
+        if source is not None:
+            if self.calibration is None and lens is None:
+                raise ValueError("a camera with a source needs its calibration here: width, height and hfov_deg or fx")
+            if self.topics != TopicsConfig():
+                raise ValueError("a camera with a source publishes on its own topics: leave topics out")
+            if self.image == "raw" and source.kind != "rtsp":
+                raise ValueError(f"a source of kind {source.kind} publishes the camera's JPEGs: leave image out")
         return self
 
 
@@ -194,8 +177,7 @@ class HealthConfig(StrictModel):
     key: Path | None = None
     """Path of the private key (PEM). A systemd credential with the file's name takes precedence."""
     token: Path | None = None
-    """File with the token that clients must send (`Authorization: Bearer ...`). A systemd credential with the file's
-    name takes precedence."""
+    """File with the token of clients (`Authorization: Bearer`). A systemd credential of its name takes precedence."""
     frame_age: Expert[float] = Field(120.0, gt=0)
     """Age of the newest frame in seconds above which a camera is not ready."""
 

@@ -82,8 +82,7 @@ class Site(StrictModel):
     crs: ProjectedCrs
     """Projected CRS in metres of all coordinates in this file, for example the UTM zone."""
     origin: tuple[float, float]
-    """Origin (x, y) of the map frame in the CRS, in metres. Keep it near the site, so that float32 resolves
-    millimetres."""
+    """Origin (x, y) of the map frame in the CRS, in metres; near the site, so that float32 resolves millimetres."""
     dem: DemConfig
     """The DEM; in YAML a single one, or a list from the finest to the coarsest (see `dem_stack`)."""
     coarser: tuple[DemConfig, ...] = ()
@@ -109,11 +108,9 @@ class Site(StrictModel):
     model: str = DEFAULT_MODEL
     """Segmentation manifest: a name in config/models/ or a path."""
     vocabulary: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    """Prompts by label for a network that takes text; `other`: prompts whose pixels stay unlabelled. Empty: the
-    network's own classes."""
+    """Prompts by label for a network that takes text; pixels of the prompts of `other` stay unlabelled."""
     label_heads: Expert[Path | None] = None
-    """Folder of label heads that is searched first, relative to the site file; the folder of the network's manifest
-    comes second."""
+    """Folder of label heads that is searched before that of the network's manifest, relative to the site file."""
     depth_model: str = ""
     """Manifest of a depth network: a name or a path. If given, traced depth is fused with it (`fused/depth`)."""
     cameras: Cameras = Field(default_factory=dict, validate_default=True)
@@ -136,8 +133,7 @@ class Site(StrictModel):
     region: UplinkConfig | None = None
     """Settings for sending votes to the map of a region; None: they are not sent."""
     nodes: dict[RosName, dict[str, Any]] = Field(default_factory=dict)
-    """Parameters by node type, for example `nodes: {capture: {pose_tolerance: 0.1}}`. A node rejects unknown
-    parameters."""
+    """Parameters by node type, such as `{capture: {pose_tolerance: 0.1}}`; a node rejects unknown ones."""
 
     @model_validator(mode="before")
     @classmethod

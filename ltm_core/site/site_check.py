@@ -5,14 +5,14 @@ they read it with."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import LtmError, ModelError, SiteFinding, SiteVerdict
+from ltm_core.base.errors import Findings, ModelError, SiteFinding, SiteVerdict
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.life_form import NODATA
@@ -39,7 +39,7 @@ _FAR_ORIGIN = 30_000.0
 class SiteCheck:
     """Result of a check with the data read for it; None or empty if reading failed."""
 
-    findings: list[SiteFinding] = field(default_factory=list)
+    findings: Findings = field(default_factory=Findings)
     site: Site | None = None
     dem: Dem | None = None
     prior: FuelPrior | None = None
@@ -54,170 +54,128 @@ class SiteCheck:
 def check_site(path: Path, cameras: Sequence[str] = ()) -> SiteCheck:
     """Check all references of a site file. `cameras`: only these; none: all. User errors become findings."""
     check = SiteCheck()
-    try:
-        check.site = site = load_site(path)
+    found = check.findings
+    with found.errors("site", path.name):
+        site = load_site(path)
+        check.site = site
         for name in cameras:
             site.camera(name)
-    except LtmError as error:
-        check.findings.append(SiteFinding.of("site", path.name, error))
+        found.ok("site", path.name, f"{site.name}, {site.crs}")
+    if check.site is None or found[0].verdict is not SiteVerdict.OK:
         return check
-    check.findings.append(SiteFinding("site", path.name, SiteVerdict.OK, f"{site.name}, {site.crs}"))
-    try:
+    with found.errors("terrain", "dem"):
         check.dem = site.open_dem()
-    except LtmError as error:
-        check.findings.append(SiteFinding.of("terrain", "dem", error))
-    else:
-        check.findings += _terrain(site, check.dem)
+        _check_terrain(found, site, check.dem)
         for name in cameras or site.cameras:
-            check.findings += check_camera(name, site, check.dem, check.views)
+            check_camera(found, name, site, check.dem, check.views)
     for name in cameras or site.cameras:
-        check.findings += check_mask(site, name)
-    check.findings += check_angles(site, cameras)
-    check.findings += _fuel(site, check)
-    check.findings += _networks(site)
+        check_mask(found, site, name)
+    check_angles(found, site, cameras)
+    _check_fuel(found, site, check)
+    _check_networks(found, site)
     return check
 
 
-def _terrain(site: Site, dem: Dem) -> Iterator[SiteFinding]:
+def _check_terrain(found: Findings, site: Site, dem: Dem) -> None:
     area, geometry = "terrain", dem.geometry
-    known = [np.isfinite(row).mean() for row in dem.elevation]
+    known = np.mean([np.isfinite(row).mean() for row in dem.elevation])
     low, high = float(np.nanmin(dem.elevation)), float(np.nanmax(dem.elevation))
-    found = (
-        f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m, heights {low:.0f} to {high:.0f} m, "
-        f"{np.mean(known):.0%} known"
-    )
-    yield SiteFinding(area, "dem", SiteVerdict.OK, found)
+    cells = f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m"
+    found.ok(area, "dem", f"{cells}, heights {low:.0f} to {high:.0f} m, {known:.0%} known")
     for doubt in dem.doubts:
-        yield SiteFinding.of(area, "dem", doubt.text, SiteVerdict.DOUBTFUL)
+        found.doubt(area, "dem", doubt.text)
     away = geometry.distance_to(0.0, 0.0)
     if away > _FAR_ORIGIN:
         said = f"{away / 1000:.0f} km from the DEM: coordinates lose millimetres; use a corner of the DEM"
-        yield SiteFinding(area, "origin", SiteVerdict.DOUBTFUL, said)
+        found.doubt(area, "origin", said)
     for level, config in zip(dem.levels[1:], site.coarser, strict=True):
-        found = f"{level.geometry.width} x {level.geometry.height} cells of {level.geometry.resolution:g} m around it"
-        yield SiteFinding(area, config.path.name, SiteVerdict.OK, found)
+        cells = f"{level.geometry.width} x {level.geometry.height} cells of {level.geometry.resolution:g} m"
+        found.ok(area, config.path.name, f"{cells} around it")
     if site.surface is not None:
-        yield from _surface(site, dem)
+        with found.errors(area, "surface"):
+            surface = site.open_surface(dem)
+            for doubt in surface.doubts[len(dem.doubts) :]:
+                found.doubt(area, "surface", doubt.text)
+            above = float(np.nanmax(sampled(surface, dem.geometry) - sampled(dem, dem.geometry), initial=0.0))
+            found.ok(area, "surface", f"up to {above:.0f} m above the ground")
 
 
-def _surface(site: Site, dem: Dem) -> Iterator[SiteFinding]:
-    assert site.surface is not None  # nosec B101 # tells the type checker what holds
-    try:
-        surface = site.open_surface(dem)
-    except LtmError as error:
-        yield SiteFinding.of("terrain", "surface", error)
-        return
-    for doubt in surface.doubts[len(dem.doubts) :]:
-        yield SiteFinding.of("terrain", "surface", doubt.text, SiteVerdict.DOUBTFUL)
-    above = float(np.nanmax(sampled(surface, dem.geometry) - sampled(dem, dem.geometry), initial=0.0))
-    yield SiteFinding("terrain", "surface", SiteVerdict.OK, f"up to {above:.0f} m above the ground")
-
-
-def _fuel(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
-    area = "fuel"
-    try:
+def _check_fuel(found: Findings, site: Site, check: SiteCheck) -> None:
+    with found.errors("fuel", "climate and label errors"):
         FuelClimate.named(site.fuel.climate)
-        yield _reliability(site)
-    except LtmError as error:
-        yield SiteFinding.of(area, "climate and label errors", error)
-    yield from _growth(site, check)
+        _check_label_errors(found, site)
+    line, dem = site.fuel.growth.tree_line_m, check.dem
+    if line is not None and dem is not None:  # in feet, or of another place, it would withdraw no tree or all of them
+        rows = dem.elevation  # one by one: no mask of a whole raster
+        above = float(sum((row > line).sum() for row in rows) / sum(np.isfinite(row).sum() for row in rows))
+        found.ok("fuel", "tree line", f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes")
     if site.fuel.prior is None:
-        yield SiteFinding(area, "prior", SiteVerdict.OK, "none: cells are unknown until they are seen")
-    elif check.dem is not None:
-        grid = site.in_crs(site.fuel_geometry(check.dem))
-        try:
+        found.ok("fuel", "prior", "none: cells are unknown until they are seen")
+    elif dem is not None:
+        grid = site.in_crs(site.fuel_geometry(dem))
+        with found.errors("fuel", "prior"):
             check.prior = load_prior(site.fuel.prior, grid)
             heights = prior_heights(site.fuel.prior, grid)
-        except LtmError as error:
-            yield SiteFinding.of(area, "prior", error)
-            return
-        yield _prior(check.prior, grid)
-        if heights is not None:
-            own = check.dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
-            elevations = "the elevations of the prior fuel map"
-            doubt = doubt_of_heights(own, heights.astype(np.float64), str(site.dem.path), elevations)
-            if doubt is not None:
-                verdict = SiteVerdict.WRONG if doubt.code == "unit" else SiteVerdict.DOUBTFUL
-                yield SiteFinding.of("terrain", "dem", doubt.text, verdict)
+            _check_prior(found, check.prior, grid)
+            if heights is not None:
+                own = dem.elevation_at(*site.in_map(grid).to_map(*np.mgrid[0 : grid.height, 0 : grid.width]))
+                elevations = "the elevations of the prior fuel map"
+                doubt = doubt_of_heights(own, heights.astype(np.float64), str(site.dem.path), elevations)
+                if doubt is not None:
+                    verdict = SiteVerdict.WRONG if doubt.code == "unit" else SiteVerdict.DOUBTFUL
+                    found.append(SiteFinding.of("terrain", "dem", doubt.text, verdict))
 
 
-def _reliability(site: Site) -> SiteFinding:
+def _check_label_errors(found: Findings, site: Site) -> None:
     """Check whether the labels that vote were ever measured. Raises ConfigError."""
     network, heads = site_label_errors(site), {}
-    with suppress(ModelError):  # `_heads` reports a head that cannot be taken
+    with suppress(ModelError):  # `_check_heads` reports a head that cannot be taken
         heads = camera_label_errors(site)
     never = [label_model(site)] if not network.measured and len(heads) < len(site.cameras) else []
     never += sorted({f"label head {site.cameras[name].label_head}" for name, of in heads.items() if not of.measured})
     if not never:
-        return SiteFinding("fuel", "label errors", SiteVerdict.OK, network.state)
-    found = (
+        found.ok("fuel", "label errors", network.state)
+        return
+    said = (
         f"{', '.join(never)}: unmeasured; these labels change no cell until the fuel map has measured them by its "
         f"first views, or you do: `ltm models measure {label_model(site)} RECORDING --site SITE`"
     )
-    return SiteFinding("fuel", "label errors", SiteVerdict.DOUBTFUL, found)
+    found.doubt("fuel", "label errors", said)
 
 
-def _growth(site: Site, check: SiteCheck) -> Iterator[SiteFinding]:
-    """Check the tree line: in feet, or of another place, it would withdraw no tree of the site or all of them."""
-    line = site.fuel.growth.tree_line_m
-    if line is None or check.dem is None:
-        return
-    rows = check.dem.elevation  # one by one: no mask of a whole raster
-    above = float(sum((row > line).sum() for row in rows) / sum(np.isfinite(row).sum() for row in rows))
-    found = f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes"
-    yield SiteFinding("fuel", "tree line", SiteVerdict.OK, found)
-
-
-def _prior(prior: FuelPrior, grid: GridGeometry) -> SiteFinding:
+def _check_prior(found: Findings, prior: FuelPrior, grid: GridGeometry) -> None:
     share = float((prior.codes != NODATA).mean())
-    found = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
+    said = f"{prior.system}, known for {share:.0%} of {grid.width} x {grid.height} cells of {grid.resolution:g} m"
     if prior.contradicting:
-        found += f"; in {prior.contradicting} cells its FBFM13 has another fuel type (`own_fbfm13` of the prior)"
-    found = "; ".join((found, *prior.remarks))
-    if share < 0.5:
-        return SiteFinding("fuel", "prior", SiteVerdict.DOUBTFUL, f"{found}: check that it covers the site")
-    return SiteFinding("fuel", "prior", SiteVerdict.OK, found)
+        said += f"; in {prior.contradicting} cells its FBFM13 has another fuel type (`own_fbfm13` of the prior)"
+    said = "; ".join((said, *prior.remarks))
+    found.weighed("fuel", "prior", said, ["check that it covers the site"] if share < 0.5 else [])
 
 
-def _networks(site: Site) -> Iterator[SiteFinding]:
-    try:
+def _check_networks(found: Findings, site: Site) -> None:
+    area = "networks"
+    with found.errors(area, "labels"):
         LabelSet.load(config_path(site.labels))
-    except LtmError as error:
-        yield SiteFinding.of("networks", "labels", error)
     for key, name in (("model", site.model), ("depth_model", site.depth_model)):
-        if not name:
-            continue
-        try:
-            network = label_network(site, name) if key == "model" else name
-            model = OnnxModel(NetworkManifest.find(network).require(depth=key == "depth_model"))
-        except LtmError as error:
-            yield SiteFinding.of("networks", key, error)
-        else:
-            yield SiteFinding("networks", key, SiteVerdict.OK, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
-            if key == "model" and model.manifest.heads_of and site.depth_model == f"{model.manifest.heads_of}_depth":
-                told = f"{site.depth_model} shares an encoder only with label heads: {name}_depth costs less"
-                yield SiteFinding("networks", "depth_model", SiteVerdict.DOUBTFUL, told)
-    yield from _heads(site)
-
-
-def _heads(site: Site) -> Iterator[SiteFinding]:
+        if name:
+            with found.errors(area, key):
+                network = label_network(site, name) if key == "model" else name
+                model = OnnxModel(NetworkManifest.find(network).require(depth=key == "depth_model"))
+                found.ok(area, key, f"{name}, {model.path.stat().st_size / 1e6:.0f} MB")
+                heads_of = model.manifest.heads_of
+                if key == "model" and heads_of and site.depth_model == f"{heads_of}_depth":
+                    told = f"{site.depth_model} shares an encoder only with label heads: {name}_depth costs less"
+                    found.doubt(area, "depth_model", told)
     cameras: dict[str, list[str]] = {}
     for name, camera in site.cameras.items():
         cameras.setdefault(camera.label_head, []).append(name)
+    cameras.pop(SHIPPED_LABEL_HEAD, None)
     for head, names in cameras.items():
-        if head == SHIPPED_LABEL_HEAD:
-            continue
-        doubt = ""
-        try:
+        with found.errors(area, f"label head {head}"):
             manifest = NetworkManifest.find(site.model).serving(head)
             file = find_label_head(head, manifest, site.label_heads)
-            if file is not None:
-                content = read_label_head(file, manifest)[1]
-                if content.one_view and len(names) > 1:
-                    doubt = "it was trained on one view and is for that only; train one for each"
-        except LtmError as error:
-            yield SiteFinding.of("networks", f"label head {head}", error)
-        else:
-            said = f"of {', '.join(names)}: {file}"
-            verdict = SiteVerdict.DOUBTFUL if doubt else SiteVerdict.OK
-            yield SiteFinding("networks", f"label head {head}", verdict, f"{said}; {doubt}" if doubt else said)
+            one_view = file is not None and read_label_head(file, manifest)[1].one_view
+            doubts = ["it was trained on one view and is for that only; train one for each"]
+            found.weighed(
+                area, f"label head {head}", f"of {', '.join(names)}: {file}", doubts if one_view and names[1:] else []
+            )

@@ -37,8 +37,7 @@ def load_site(path: Path | str) -> Site:
 
 
 def _check_mask(mask: object, place: str, folder: Path) -> None:
-    """Check that a site, which may be from an untrusted source, names no file outside its folder. Raises
-    ConfigError."""
+    """Check that a site, whose source may be untrusted, names no file outside its folder. Raises ConfigError."""
     if not isinstance(mask, Path):
         return
     try:
@@ -174,8 +173,7 @@ def dumped(content: dict[str, Any]) -> str:
 
 
 def replace_site(path: Path, text: str) -> None:
-    """Write the text of a site file in place of the old one, whole or not at all. Raises ConfigError if it is not a
-    valid site."""
+    """Write the text of a site file in place of the old one, whole or not at all. Raises ConfigError if invalid."""
     # Beside the old file, so that relative paths hold.
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
     new = Path(name)

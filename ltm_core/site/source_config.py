@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from ltm_core.base.redaction import url_without_secrets
 from ltm_core.base.strict_model import Expert, StrictModel, Written
+
+HttpUrl = Annotated[str, AfterValidator(lambda url: url_without_secrets(url, ("http", "https")))]
 
 
 class SecretConfig(StrictModel):
@@ -77,11 +79,9 @@ class SourceSettings(StrictModel):
     night: Expert[Literal["hold", "publish"]] = "hold"
     """What to do with images that are too dark, or that have no colour (infrared): `hold` or `publish`."""
     stalled_after: Expert[float | None] = Field(None, gt=0)
-    """Seconds without a usable image after which the camera is reported as stalled; None: three times `every`, at least
-    30."""
+    """Seconds without a usable image until the camera counts as stalled; None: three times `every`, at least 30."""
     stuck_after: Expert[float | None] = Field(None, gt=0)
-    """Seconds with the same image after which the camera is reported as stuck; None: six times `every`, at least 120.
-    """
+    """Seconds with the same image until the camera counts as stuck; None: six times `every`, at least 120."""
 
     @property
     def period(self) -> float:
@@ -103,8 +103,7 @@ class NetworkSettings(SourceSettings, LoginSettings):
     url: str
     """Address of the image or stream, without user and password."""
     timeout: Expert[float] = Field(10.0, gt=0, le=60)
-    """Timeout in seconds for the connection and for each part of a response. A whole image may take three times as
-    long."""
+    """Timeout in seconds for the connection and each part of a response; a whole image may take three times that."""
 
 
 class HttpSettings(NetworkSettings, HttpLogin):
@@ -168,8 +167,7 @@ class FolderConfig(SourceSettings):
     zone: Expert[str] = "UTC"
     """Time zone of file names, and of EXIF times without a zone."""
     oldest: Written[float] = Field(600.0, gt=0)
-    """Maximum age in seconds of a file when it is first found; older files are ignored (use a replay for recordings).
-    """
+    """Maximum age in seconds of a file when it is first found; older files are ignored."""
     complete_within: Expert[float] = Field(60.0, gt=0)
     """Maximum time in seconds for a file to be complete."""
     upload: Expert[float] = Field(10.0, ge=0)
@@ -195,7 +193,7 @@ class CameraListConfig(HttpSettings):
     kind: Literal["camera_list"]
     id: Written[str]
     """Identifier of the camera in the list."""
-    image: Written[str]
+    image: Written[HttpUrl]
     """URL of the image; `{id}` is replaced by the camera's identifier."""
     every: float = Field(30.0, gt=0)
     """Seconds between two requests of the list."""
@@ -212,11 +210,6 @@ class CameraListConfig(HttpSettings):
     oldest: Written[float] = Field(120.0, ge=0)
     """Maximum age of an image in seconds."""
 
-    @field_validator("image")
-    @classmethod
-    def _image(cls, url: str) -> str:
-        return url_without_secrets(url, ("http", "https"))
-
 
 SourceConfig = Annotated[
     SnapshotConfig | MjpegConfig | RtspConfig | FolderConfig | CameraListConfig, Field(discriminator="kind")
@@ -225,10 +218,9 @@ Degrees = Annotated[float, Field(ge=-720, le=720)]
 
 
 class PtzSettings(HttpLogin):
-    """Settings of all kinds of PTZ heads. Missing values of url, user and password are those of the camera's
-    `source`."""
+    """Settings of all kinds of PTZ heads. Missing url, user and password are those of the camera's `source`."""
 
-    url: Expert[str | None] = None
+    url: Expert[HttpUrl | None] = None
     """Address `http://HOST` or `https://HOST`, with the port."""
     user: Expert[str | None] = None
     """User name for the PTZ head."""
@@ -238,11 +230,6 @@ class PtzSettings(HttpLogin):
     """Timeout in seconds for each request."""
     tolerance_deg: Expert[float | None] = Field(None, gt=0)
     """Maximum difference in degrees between two readings of a PTZ head at rest; None: the usual value of the kind."""
-
-    @field_validator("url")
-    @classmethod
-    def _url(cls, url: str | None) -> str | None:
-        return None if url is None else url_without_secrets(url, ("http", "https"))
 
 
 class VapixConfig(PtzSettings):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ltm_ros.cli.output import writable_folder
+from ltm_lab.cli.options import writable_folder
 
 
 def simulate(

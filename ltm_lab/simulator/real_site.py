@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from ltm_core.base.errors import ConfigError
+from ltm_core.base.errors import ConfigError, Findings
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.fuel.life_form import NODATA, forms_of
 from ltm_core.fuel.prior import load_prior
@@ -53,7 +53,7 @@ def views_of(site: Site, dem: Dem) -> list[PosedCamera]:
     none."""
     views: list[PosedCamera] = []
     for name in site.cameras:
-        list(check_camera(name, site, dem, views))
+        check_camera(Findings(), name, site, dem, views)
     if not views:
         raise ConfigError(f"site {site.name}: no camera has a pose and a calibration in the site file; give them")
     return views

@@ -6,33 +6,30 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
+from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_files
+from ltm_ros.assessment.figures import compute_figures
 from ltm_ros.assessment.look_command import learn, look
+from ltm_ros.assessment.plan import find_map, read_map_plan, with_map, write_plan
+from ltm_ros.cli.output import command_group, print_table
+from ltm_ros.fuel_map.source import FuelSource
 
-assess = typer.Typer(no_args_is_help=True, help="Measure the accuracy of a fuel map from a random sample of its cells.")
+assess = command_group("Measure the accuracy of a fuel map from a random sample of its cells.")
 assess.command()(look)
 assess.command()(learn)
 
 
 @assess.command()
 def plan(
-    map_: Annotated[
-        Path, typer.Argument(metavar="MAP", help="Fuel map store (.ltm), folder with one, bag, or GeoTIFF of classes.")
-    ],
-    site: Annotated[Path, typer.Option(help="Site file.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the plan.")],
-    cells: Annotated[int, typer.Option(min=20, max=5000, help="Number of sampled cells.")] = 300,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random sample.")] = 1,
+    map_: Annotated[Path, Argument(metavar="MAP", help="Fuel map: store (.ltm), its folder, bag, or GeoTIFF.")],
+    site: Annotated[Path, Option(help="Site file.")],
+    out: Annotated[Path, Option("--out", "-o", help="Folder for the plan.")],
+    cells: Annotated[int, Option(min=20, max=5000, help="Number of sampled cells.")] = 300,
+    seed: Annotated[int, Option(min=0, help="Seed of the random sample.")] = 1,
 ) -> None:
     """Draw a stratified random sample of observed cells: by life form, changed cells more densely."""
-    from rich.console import Console
-
-    from ltm_core.site.site_io import load_site
-    from ltm_ros.assessment.plan import find_map, write_plan
-    from ltm_ros.cli.output import print_table
-    from ltm_ros.fuel_map.source import FuelSource
-
     path = find_map(map_)
     with FuelSource.open(path, load_site(site)) as source:
         about = write_plan(source, path, site, cells, seed, out)
@@ -42,33 +39,20 @@ def plan(
     ]
     total = sum(s["cells"] for s in about["strata"]), sum(s["sampled"] for s in about["strata"])
     rows.append(("all", f"{total[0]:,}", str(total[1]), f"{100 * widths['overall']:.1f} %"))
-    console = Console()
-    print_table(console, "sample", ("stratum", ">observed cells", ">sampled", ">± (95 %) at 80 % accuracy"), rows)
-    following = f"wrote {out}; next: ltm assess look {out} --recordings FOLDER"
-    console.print(following, soft_wrap=True, highlight=False, markup=False)
+    print_table("sample", ("stratum", ">observed cells", ">sampled", ">± (95 %) at 80 % accuracy"), rows)
+    typer.echo(f"wrote {out}; next: ltm assess look {out} --recordings FOLDER")
 
 
 @assess.command()
 def report(
-    plan_: Annotated[Path, typer.Argument(metavar="PLAN", help="Folder of the plan, written by `ltm assess plan`.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File of the report; figures go to .json beside it.")],
-    recordings: Annotated[
-        list[Path] | None, typer.Option(help="Recording, or folder of recordings. Repeatable.", metavar="FOLDER")
-    ] = None,
-    plots: Annotated[
-        Path | None, typer.Option(help="File of field plots: CSV or GeoPackage with lon, lat, life_form, date.")
-    ] = None,
-    map_: Annotated[
-        Path | None,
-        typer.Option("--map", help="Another map of the site, such as one after `learn`. Default: the plan's."),
-    ] = None,
+    plan_: Annotated[Path, Argument(metavar="PLAN", help="Folder of the plan, written by `ltm assess plan`.")],
+    out: Annotated[Path, Option("--out", "-o", help="File of the report; figures go to .json beside it.")],
+    recordings: Annotated[list[Path] | None, Option(help="Recording, or folder. Repeatable.", metavar="FOLDER")] = None,
+    plots: Annotated[Path | None, Option(help="Field plots: CSV or GeoPackage with lon, lat, life_form, date.")] = None,
+    map_: Annotated[Path | None, Option("--map", help="Another map, such as after `learn`; default: PLAN's.")] = None,
 ) -> None:
     """Write accuracies and areas with 95 % intervals, maps and errors to one HTML page and a JSON file."""
-    from ltm_core.site.site_io import load_site
-    from ltm_ros.assessment.figures import compute_figures
-    from ltm_ros.assessment.plan import find_map, read_map_plan, with_map
-    from ltm_ros.assessment.report import keep_accuracy, write_report
-    from ltm_ros.fuel_map.source import FuelSource
+    from ltm_ros.assessment.report import keep_accuracy, write_report  # they need the extra ltm[report]
     from ltm_ros.pages import write_figures
 
     require_files([out, out.with_suffix(".json")])

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 import os
+import time
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.markup import escape
+from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.cli.output import Overwrite, print_table
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from ltm_core.site.source_config import SecretConfig
-    from ltm_ros.cameras.probe import Found, Placing
+from ltm_core.base.redaction import plain, redacted, url_without_secrets
+from ltm_core.geometry.pose import pose_sigmas, sigma_keys
+from ltm_core.pose_estimation.mount.mount_io import append_reading
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import dumped, load_site, stated_sections, write_camera
+from ltm_core.site.source_config import SecretConfig
+from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_msgs_py.image import encode_rgb
+from ltm_ros.cameras.camera_source import Frame
+from ltm_ros.cameras.opening import source_of
+from ltm_ros.cameras.probe import Found, Placing, completed, lacking, site_entry
+from ltm_ros.cameras.probe import probe as ask
+from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
+from ltm_ros.cli.output import Overwrite, command_group, numbers, print_table, say, warn, working
+from ltm_ros.cli.scene import write_pose
+from ltm_ros.runtime.health import Health
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
 """Environment variable of this process that holds a password typed at the prompt."""
@@ -23,77 +36,59 @@ PROMPTED = "LTM_CAMERA_PASSWORD"
 CREDENTIALS = Path("/etc/ltm/credentials")
 """Folder whose files systemd passes to an installed tower; a site file names them as credentials."""
 
-cameras = typer.Typer(no_args_is_help=True, help="Probe a camera for the site file, and take snapshots.")
+READINGS = "readings.csv"
+
+cameras = command_group("Probe a camera for the site file, and take snapshots.")
 
 
 @cameras.command()
 def probe(
-    url: Annotated[
-        str, typer.Argument(help="Address (http://, https:// or rtsp://); without a path, the camera's host.")
-    ],
-    user: Annotated[
-        str | None, typer.Option(help="User name; the password is prompted for unless given below.")
-    ] = None,
-    password_env: Annotated[str | None, typer.Option(help="Environment variable that holds the password.")] = None,
-    password_file: Annotated[Path | None, typer.Option(help="File that holds only the password.")] = None,
-    ca: Annotated[Path | None, typer.Option(help="CA certificates (PEM) for https. Default: the system's.")] = None,
-    check_name: Annotated[
-        bool, typer.Option("--check-name/--any-name", help="Check that the certificate is for this host.")
-    ] = True,
-    site: Annotated[Path | None, typer.Option(help="With --camera: add or complete it in this site file.")] = None,
-    camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
-    lonlat: Annotated[str | None, typer.Option(help="Camera position LON,LAT in degrees (WGS 84).")] = None,
-    height: Annotated[float | None, typer.Option(help="Height above the ground in metres.")] = None,
-    azimuth: Annotated[float | None, typer.Option(help="Azimuth in degrees from grid north (PTZ: at pan 0).")] = None,
-    pitch: Annotated[float, typer.Option(help="Pitch in degrees above the horizon (fixed cameras only).")] = 0.0,
-    hfov: Annotated[float | None, typer.Option(help="Horizontal field of view in degrees.")] = None,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Overwrite sections that the camera has in the site file.")
-    ] = False,
-    timeout: Annotated[float, typer.Option(min=0.1, max=60, help="Timeout of each request in seconds.")] = 5.0,
+    url: Annotated[str, Argument(help="Address (http://, https:// or rtsp://); without a path, the camera's host.")],
+    user: Annotated[str | None, Option(help="User name; the password is prompted for unless given below.")] = None,
+    password_env: Annotated[str | None, Option(help="Environment variable that holds the password.")] = None,
+    password_file: Annotated[Path | None, Option(help="File that holds only the password.")] = None,
+    ca: Annotated[Path | None, Option(help="CA certificates (PEM) for https. Default: the system's.")] = None,
+    check_name: Annotated[bool, Option("--check-name/--any-name", help="Check the host of the certificate.")] = True,
+    site: Annotated[Path | None, Option(help="With --camera: add or complete it in this site file.")] = None,
+    camera: Annotated[str, Option(help="Name of the camera in the site file.")] = "",
+    lonlat: Annotated[str | None, Option(help="Camera position LON,LAT in degrees (WGS 84).")] = None,
+    height: Annotated[float | None, Option(help="Height above the ground in metres.")] = None,
+    azimuth: Annotated[float | None, Option(help="Azimuth in degrees from grid north (PTZ: at pan 0).")] = None,
+    pitch: Annotated[float, Option(help="Pitch in degrees above the horizon (fixed cameras only).")] = 0.0,
+    hfov: Annotated[float | None, Option(help="Horizontal field of view in degrees.")] = None,
+    replace: Annotated[bool, Option("--replace", help="Overwrite sections that the camera has there.")] = False,
+    timeout: Annotated[float, Option(min=0.1, max=60, help="Timeout of each request in seconds.")] = 5.0,
 ) -> None:
     """Probe a camera: protocol, image size, rate, clock and PTZ head; print its site-file entry."""
-    from rich.console import Console
-    from rich.markup import escape
-
-    from ltm_core.base.redaction import plain
-    from ltm_core.site.site_io import dumped, stated_sections, write_camera
-    from ltm_ros.cameras.probe import completed, lacking, site_entry
-    from ltm_ros.cameras.probe import probe as ask
-    from ltm_ros.cameras.protocols.credentials import UnauthorisedError
-
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: the site file to write and the camera's name in it")
     present = {} if site is None else stated_sections(site, camera)
-    placing = _placing(lonlat, height, azimuth, pitch, hfov)
+    lon, lat = (None, None) if lonlat is None else numbers(lonlat, "--lonlat", (2,))
     address = _checked_address(url)
     secret, kept = _secret(user, password_env, password_file, camera)
-    console = Console()
-    with console.status("asking") as status:
+    with working("requesting") as status:
 
-        def say(what: str) -> None:
+        def show(what: str) -> None:
             status.update(f"requesting {escape(plain(what))}")
 
         try:
-            found = ask(address, user, secret, ca, check_name, timeout, say)
+            found = ask(address, user, secret, ca, check_name, timeout, show)
         except UnauthorisedError as error:
             raise UnauthorisedError(
                 f"{error}. Probing stopped here, because cameras lock an account after a few wrong passwords"
             ) from None
-    _print_found(console, found)
+    _print_found(found)
     if found.source is None and found.ptz is None:
         raise ConfigError(
             f"{address}: found neither an image nor a PTZ head:\n" + "\n".join(f"  {w}: {t}" for w, t in found.tried)
         )
-    entry = completed(present, site_entry(found, user, kept, placing))
+    entry = completed(present, site_entry(found, user, kept, Placing(lon, lat, height, azimuth, pitch, hfov)))
     missing = lacking({**present, **entry})
     typer.echo(dumped({"cameras": {camera or "north": entry}}).rstrip())
     for what in missing:
-        console.print(f"[yellow]still to be added: {escape(what)}", highlight=False)
+        warn(f"still to be added: {what}")
     if kept is not None and kept.environment == _variable(camera):
-        console.print(
-            f"set the password in the environment of `ltm run`: export {kept.environment}=...", highlight=False
-        )
+        say(f"set the password in the environment of `ltm run`: export {kept.environment}=...")
     if site is None:
         return
     if missing:
@@ -104,34 +99,75 @@ def probe(
 
 @cameras.command()
 def snapshot(
-    site: Annotated[Path, typer.Argument(help="Site file.")],
-    camera: Annotated[str, typer.Argument(help="Name of a camera with a section `source`.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the image and its pose file.")],
-    name: Annotated[str, typer.Option(help="Base name of the files. Default: camera and time.")] = "",
-    tries: Annotated[
-        int, typer.Option(min=1, max=100, help="Number of images that may be rejected before giving up.")
-    ] = 5,
+    site: Annotated[Path, Argument(help="Site file.")],
+    camera: Annotated[str, Argument(help="Name of a camera with a section `source`.")],
+    out: Annotated[Path, Option("--out", "-o", help="Folder for the image and its pose file.")],
+    name: Annotated[str, Option(help="Base name of the files. Default: camera and time.")] = "",
+    tries: Annotated[int, Option(min=1, max=100, help="Number of images that may be rejected before giving up.")] = 5,
     overwrite: Overwrite = False,
 ) -> None:
     """Take an image now, with its pose. For a PTZ head, add its reading to readings.csv for `ltm pose mount`."""
-    from rich.console import Console
-    from rich.markup import escape
+    loaded = load_site(site)
+    require_folder(out, "an image")
+    with working(f"requesting an image from {camera}"):
+        frame = _frame(loaded, camera, tries)
+    taken = datetime.fromtimestamp(frame.stamp_ns / 1e9, UTC)
+    stem = name or f"{camera}_{taken:%Y%m%dT%H%M%SZ}"
+    files = [out / f"{stem}.jpg"] + ([] if frame.pose is None else [out / f"{stem}.yaml"])
+    require_files(files, overwrite)
+    out.mkdir(parents=True, exist_ok=True)
+    if frame.rgb is not None and frame.jpeg is None:
+        files[0].write_bytes(encode_rgb(frame.rgb, "jpeg", 95))
+    else:
+        files[0].write_bytes(frame.jpeg or b"")
+    say(f"taken {taken:%Y-%m-%d %H:%M:%S} UTC +- {frame.uncertainty:.2f} s, by {frame.told_by}")
+    if (reading := frame.reading) is not None:
+        say(f"PTZ head: pan {reading.pan_deg:.3f}, tilt {reading.tilt_deg:.3f}, zoom {reading.zoom:g}")
+        files.append(out / READINGS)
+        append_reading(files[-1], files[0].name, reading.pan_deg, reading.tilt_deg, reading.zoom)
+    if frame.pose is None:
+        say("the site file has no pose for this camera, so the image cannot be traced")
+    else:
+        azimuth, pitch, roll = frame.pose.angles_deg
+        line = f"viewing direction: azimuth {azimuth:.2f}, pitch {pitch:+.2f}, roll {roll:+.2f} deg"
+        sigmas = {}
+        if frame.covariance is not None:
+            sigmas = sigma_keys(frame.pose, frame.covariance)
+            angles = pose_sigmas(frame.pose, frame.covariance)[3:]
+            line += f" (sigmas {', '.join(f'{sigma:.2f}' for sigma in angles)})"
+        say(f"{line}; field of view {frame.camera.hfov_deg:.1f} deg")
+        note = f"Image of {camera} at {taken:%Y-%m-%dT%H:%M:%SZ}, by `ltm cameras snapshot`."
+        rays = loaded.curvature, loaded.refraction
+        write_pose(files[1], frame.camera, frame.pose, loaded.frame, note, sigmas, rays)
+    for path in files:
+        say(f"  {path}")
 
-    from ltm_ros.cli.cameras_snapshot import take_snapshot
 
-    console = Console()
-    with console.status(f"requesting an image from {camera}"):
-        written, told = take_snapshot(site, camera, out, name, tries, overwrite)
-    for line in told:
-        console.print(escape(line), highlight=False)
-    for path in written:
-        console.print(escape(f"  {path}"), highlight=False)
+def _frame(site: Site, name: str, tries: int) -> Frame:
+    """Return the first usable image of a camera. Raises ConfigError, and SourceError with the reason."""
+    camera = site.camera(name)
+    if camera.source is None:
+        raise ConfigError(
+            f"camera {name} of site {site.name} has no section `source`, so no image can be requested from it"
+        )
+    frames = list[Frame]()
+    settings = camera.source.model_copy(update={"night": "publish"})  # a snapshot at night is accepted, too
+    source = source_of(site, name, settings, frames.append, Health())
+    try:
+        for _ in range(tries):
+            pause = source.step()
+            if frames:
+                return frames[0]
+            if source.record.latest in ("unauthorised", "stalled"):
+                break
+            time.sleep(min(pause, 1.0))
+        raise SourceError(f"{name} sent no usable image: {source.record.latest}: {source.record.why}")
+    finally:
+        source.close()
 
 
 def _checked_address(url: str) -> str:
     """Return the checked address. Raises ConfigError if it is invalid or contains a password."""
-    from ltm_core.base.redaction import redacted, url_without_secrets
-
     if "://" not in url:
         url = f"http://{url}"
     try:
@@ -151,8 +187,6 @@ def _secret(
     user: str | None, password_env: str | None, password_file: Path | None, camera: str
 ) -> tuple[SecretConfig | None, SecretConfig | None]:
     """Return where the password is now, and where the site file should read it from."""
-    from ltm_core.site.source_config import SecretConfig
-
     if password_env is not None and password_file is not None:
         raise ConfigError("give --password-env or --password-file, not both")
     if user is None:
@@ -170,25 +204,7 @@ def _secret(
     return SecretConfig(environment=PROMPTED), SecretConfig(environment=_variable(camera))
 
 
-def _placing(
-    lonlat: str | None, height: float | None, azimuth: float | None, pitch: float, hfov: float | None
-) -> Placing:
-    from ltm_ros.cameras.probe import Placing
-
-    lon = lat = None
-    if lonlat is not None:
-        try:
-            lon, lat = (float(part) for part in lonlat.split(","))
-        except ValueError:
-            raise ConfigError(f"--lonlat {lonlat}: give two numbers separated by a comma, LON,LAT") from None
-    return Placing(lon, lat, height, azimuth, pitch, hfov)
-
-
-def _print_found(console: Console, found: Found) -> None:
-    from rich.markup import escape
-
-    from ltm_core.base.redaction import plain, redacted
-
+def _print_found(found: Found) -> None:
     rows: list[tuple[str, str]] = []
 
     def row(what: str, told: str) -> None:
@@ -218,4 +234,4 @@ def _print_found(console: Console, found: Found) -> None:
         rows.append(("zoom", f"{reading.zoom:g}"))
     for what, told in found.tried:
         rows.append((f"[dim]request: {escape(plain(what))}", f"[dim]{escape(plain(told))}"))
-    print_table(console, "camera", ("what", "found"), rows)
+    print_table("camera", ("what", "found"), rows)

@@ -6,32 +6,40 @@ import os
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from typer import Option
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.base.resources import project_path
 from ltm_core.storage.disk_io import require_folder
-from ltm_ros.cli.output import print_table
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
+from ltm_ros.cli.output import print_nodes, print_table, progress_bar, say
+from ltm_ros.demo.report import bin_name
+from ltm_ros.demo.score import RunScore
+from ltm_ros.demo.simulated import run_demo
 
 MARK = ".ltm-demo"
 """File in the folder of a demo, which the next one may delete."""
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path("out/demo"),
-    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
+    out: Annotated[Path, Option("--out", "-o", help="Output folder.")] = Path("out/demo"),
+    domain: Annotated[int, Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
 ) -> None:
     """Run the live graph on a small recording; write a report, a fuel map and a Rerun recording to OUT."""
-    from rich.console import Console
-
-    console = Console()
     clear_demo(out)
-    _simulated(out, domain, console)
+    with progress_bar("demo", loops=True) as progress:
+        result = run_demo(project_path("bags"), out, domain, progress, say)
+    print_nodes(result.nodes)
+    print_table("against truth", ("", ""), _score_rows(result.score))
+    say(f"report: {out / 'report.html'}")
+    shown = to_type(f"ltm view --rrd {out / 'demo.rrd'}")
+    typer.echo(f"in Rerun: {shown}")  # on one line, to be copied
+    drops = sum(row.dropped for row in result.nodes)
+    if drops:
+        say(f"{drops} messages were dropped; the table says where and why", "red")
+        raise typer.Exit(1)
 
 
 def clear_demo(out: Path) -> None:
@@ -45,44 +53,28 @@ def clear_demo(out: Path) -> None:
     (out / MARK).touch()
 
 
-def _simulated(out: Path, domain: int, console: Console) -> None:
-    from ltm_core.base.resources import project_path
-    from ltm_ros.cli.output import message_bar, print_nodes
-    from ltm_ros.demo.report import bin_name
-    from ltm_ros.demo.simulated import run_demo
-
-    with message_bar(console, "demo") as progress:
-        result = run_demo(project_path("bags"), out, domain, progress, lambda line: console.print(line, markup=False))
-    print_nodes(console, result.nodes)
+def _score_rows(scored: RunScore) -> list[tuple[str, str]]:
     rows = []
-    for row in result.score.depth:
+    for row in scored.depth:
         if row.against == "visible surface":
             for score in row.scores:
                 if score.pixels:
                     rows.append((f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m"))
-    if result.score.labels is not None:
-        rows.append(("correct labels", f"{100 * result.score.labels.accuracy:.1f} %"))
-    if (fuel := result.score.fuel) is not None:
+    if scored.labels is not None:
+        rows.append(("correct labels", f"{100 * scored.labels.accuracy:.1f} %"))
+    if (fuel := scored.fuel) is not None:
         rows.append(("fuel cells seen", f"{fuel.seen} of {fuel.cells}"))
-        maps = (("", fuel), (", majority vote", result.score.fuel_vote), (", prior alone", result.score.fuel_prior))
-        for name, one in maps:
+        for name, one in (("", fuel), (", majority vote", scored.fuel_vote), (", prior alone", scored.fuel_prior)):
             if one is not None:
                 share = 100 * one.right / max(1, one.seen)
                 rows.append((f"correct fuel cells{name}", f"{one.right} ({share:.1f} %)"))
-    if (changes := result.score.fuel_changes) is not None:
+    if (changes := scored.fuel_changes) is not None:
         for name, part in (
             ("changed, detected", changes.found),
             ("unchanged, changed by the map", changes.false_flips),
         ):
             rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
-    print_table(console, "against truth", ("", ""), rows)
-    console.print(f"report: {out / 'report.html'}")
-    shown = to_type(f"ltm view --rrd {out / 'demo.rrd'}")
-    console.print(f"in Rerun: {shown}", soft_wrap=True)
-    drops = sum(row.dropped for row in result.nodes)
-    if drops:
-        console.print(f"[red]{drops} messages were dropped; the table says where and why[/red]")
-        raise typer.Exit(1)
+    return rows
 
 
 def to_type(command: str) -> str:

@@ -3,97 +3,72 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.number_text import difference, number
+from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
+from ltm_core.fire.pyretechnics import interpreter
+from ltm_core.fuel.class_map import UNSEEN, read_fuel_map, snapped_grid, write_fuel_map
+from ltm_core.fuel.export.companion_files_io import remove_item, style_owner, write_palette_style
+from ltm_core.fuel.export.export_grid import GridTransfer
+from ltm_core.fuel.export.provenance import software
+from ltm_core.fuel.life_form import life_form_labels
+from ltm_core.geometry.grid import GridGeometry
+from ltm_core.pipeline.site_surface import open_stored_surface
+from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_files, require_folder
-from ltm_ros.cli.output import Overwrite, print_table
+from ltm_core.surface.surface_io import BANDS, write_export
+from ltm_core.vision.labels import LabelSet
+from ltm_ros.cli.output import Overwrite, print_table, say, working
+from ltm_ros.fuel_map.export import export_site, sidecars
+from ltm_ros.fuel_map.source import FuelSource
+from ltm_ros.recordings.recorded_run import last_fuel_map
 
-if TYPE_CHECKING:
-    from ltm_core.geometry.grid import GridGeometry
+Format = Literal[
+    "auto", "classes", "lcp", "landscape", "elmfire", "layers", "png", "change", "surface", "kmz"
+]  # fmt: skip
+Codes = Literal["fbfm40", "fbfm13"]
 
-
-class Format(StrEnum):
-    """Format to write."""
-
-    auto = "auto"
-    classes = "classes"
-    lcp = "lcp"
-    landscape = "landscape"
-    elmfire = "elmfire"
-    layers = "layers"
-    png = "png"
-    change = "change"
-    surface = "surface"
-    kmz = "kmz"
-
-
-class Codes(StrEnum):
-    """Set of surface fuel models."""
-
-    fbfm40 = "fbfm40"
-    fbfm13 = "fbfm13"
-
-
-_TIFF = (Format.classes, Format.landscape)
-_BY_SUFFIX = {".tif": _TIFF, ".tiff": _TIFF, ".lcp": (Format.lcp,), ".kmz": (Format.kmz,)}
-_BY_SUFFIX |= {".png": (Format.png, Format.change)}
+_TIFF: tuple[Format, ...] = ("classes", "landscape")
+_BY_SUFFIX: dict[str, tuple[Format, ...]] = {
+    ".tif": _TIFF, ".tiff": _TIFF, ".lcp": ("lcp",), ".kmz": ("kmz",), ".png": ("png", "change")
+}  # fmt: skip
 """Formats of a suffix; the first one is written if none is requested."""
-_OF_MODELS = (Format.landscape, Format.lcp, Format.elmfire)
-_FOLDERS = (Format.elmfire, Format.layers)
+_OF_MODELS = ("landscape", "lcp", "elmfire")
+_FOLDERS: tuple[Format, ...] = ("elmfire", "layers")
 
 
 def export(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="Fuel map store (.ltm), terrain store (.sqlite), bag with fuel_map topic, or fuel map GeoTIFF."
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Output file, or folder for elmfire and layers.")],
-    site: Annotated[
-        Path | None, typer.Option("--site", help="Site file; required except for a GeoTIFF of classes.")
-    ] = None,
-    crs: Annotated[
-        str | None, typer.Option(help="Target CRS; EPSG:5070 gives LANDFIRE's grid. Default: the source's CRS.")
-    ] = None,
+    source: Annotated[Path, Argument(help="Fuel map (store .ltm, bag or GeoTIFF), or terrain store (.sqlite).")],
+    out: Annotated[Path, Option("--out", "-o", help="Output file, or folder for elmfire and layers.")],
+    site: Annotated[Path | None, Option(help="Site file; required except for a GeoTIFF of classes.")] = None,
+    crs: Annotated[str | None, Option(help="Target CRS; EPSG:5070: LANDFIRE's grid. Default: the source's.")] = None,
     format_: Annotated[
         Format,
-        typer.Option(
+        Option(
             "--format",
-            help="auto: by the suffix of --out. classes: label map. For fire models: lcp, landscape (GeoTIFF of "
-            "8 bands), elmfire (folder). layers: folder of Cloud Optimized GeoTIFFs. Images: png (classes, "
-            "confidence, cameras), change (before and after), kmz (for globe programs). Terrain as GeoTIFF: change "
-            "(shift, sigma, kind, since), surface (height, sigma).",
+            help="Default: by the suffix of --out. classes: GeoTIFF of labels; lcp, landscape, elmfire: fire models; "
+            "layers: folder of GeoTIFFs; png, change, kmz: images; a terrain store is written as change or surface.",
         ),
-    ] = Format.auto,
-    system: Annotated[
-        Codes | None, typer.Option(help="Fuel models of a landscape (.tif then holds one). Default: fbfm40.")
-    ] = None,
-    as_of: Annotated[
-        str | None, typer.Option("--as-of", help="Store only: export the map at this date or time (UTC).")
-    ] = None,
-    since: Annotated[
-        str | None, typer.Option("--since", help="For change: the earlier date. Default: the prior map.")
-    ] = None,
+    ] = "auto",
+    system: Annotated[Codes | None, Option(help="Fuel models of a landscape (also as .tif). Default: fbfm40.")] = None,
+    as_of: Annotated[str | None, Option(help="Store only: date or time (UTC) of the map.")] = None,
+    since: Annotated[str | None, Option(help="For change: earlier date. Default: the prior map.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a fuel map, optionally in another CRS (nearest cell, edges at 15 mod 30), or an updated terrain."""
-    from ltm_core.fuel.export.companion_files_io import remove_item, style_owner
-    from ltm_ros.fuel_map.export import export_site, sidecars
-
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: the folder {out.parent} does not exist; create it first")
     if source.suffix == ".sqlite":
         geometry = _export_terrain(source, out, site, format_, [crs, as_of, since, system], overwrite)
         _echo_written(out, format_, geometry)
         return
-    if format_ is Format.surface:
+    if format_ == "surface":
         raise ConfigError(f"{source} is not a terrain store: surface needs a terrain.sqlite")
     kind = _kind_of(out, format_, system)
     if kind in _FOLDERS:
@@ -102,10 +77,10 @@ def export(
             raise ConfigError(f"{out}: contains files already; give another folder, or --overwrite")
     else:
         require_files([out], overwrite)
-    if since is not None and kind is not Format.change:
+    if since is not None and kind != "change":
         raise ConfigError("--since is the earlier date of a change image: give --format change")
-    require_files(sidecars(out, kind.value), overwrite)
-    if kind is Format.classes:
+    require_files(sidecars(out, kind), overwrite)
+    if kind == "classes":
         geometry = _export_classes(source, out, site, crs, as_of)
         remove_item(out)
     else:
@@ -113,15 +88,12 @@ def export(
             raise ConfigError(
                 f"{kind} needs the terrain and the prior fuel map of a site: give the site file with --site"
             )
-        from ltm_core.site.site_io import load_site
-        from ltm_ros.fuel_map.source import FuelSource
-
         with FuelSource.open(source, load_site(site)) as map_:
-            geometry, notes = export_site(map_, out, crs, kind.value, (system or Codes.fbfm40).value, as_of, since)
+            geometry, notes = export_site(map_, out, crs, kind, system or "fbfm40", as_of, since)
         for note in notes:
             typer.echo(note)
     _echo_written(out, kind, geometry)
-    if kind is Format.classes and format_ is Format.auto:
+    if kind == "classes" and format_ == "auto":
         typer.echo(f"{out} has one band of life forms; for a fire model, give --format landscape")
     if owner := style_owner(out):
         typer.echo(f"{out.with_suffix('.qml')} is the style of {owner} and was kept; QGIS shows {out.name} with it")
@@ -130,11 +102,11 @@ def export(
 def _kind_of(out: Path, requested: Format, system: Codes | None) -> Format:
     """Return the format to write. Raises ConfigError for a suffix of another format, and `--system` without use."""
     usual = _BY_SUFFIX.get(out.suffix.lower(), ())
-    if requested is Format.auto and not usual:
+    if requested == "auto" and not usual:
         raise ConfigError(f"{out}: its suffix belongs to no format; give --format, or one of {', '.join(_BY_SUFFIX)}")
-    if usual and requested not in (Format.auto, *usual, *_FOLDERS):
+    if usual and requested not in ("auto", *usual, *_FOLDERS):
         raise ConfigError(f"{out}: {out.suffix} is not written as {requested}; use {' or '.join(usual)}, or rename it")
-    kind = requested if requested is not Format.auto else usual[0] if system is None else usual[-1]
+    kind = requested if requested != "auto" else usual[0] if system is None else usual[-1]
     if system is not None and kind not in _OF_MODELS:
         raise ConfigError(f"{out}: --system {system} applies to landscapes only; give --format {', '.join(_OF_MODELS)}")
     return kind
@@ -148,17 +120,13 @@ def _export_terrain(
     source: Path, out: Path, site: Path | None, kind: Format, unfit: Sequence[str | None], overwrite: bool
 ) -> GridGeometry:
     """Write a terrain. `unfit`: given options that do not apply to a terrain."""
-    from ltm_core.pipeline.site_surface import open_stored_surface
-    from ltm_core.site.site_io import load_site
-    from ltm_core.surface.surface_io import BANDS, write_export
-
     if site is None:
         raise ConfigError(f"{source} holds differences from its site's terrain: give the site file with --site")
     if any(unfit):
         raise ConfigError(
             "a terrain is exported in its current state and CRS, without fuel: remove --crs, --as-of, --since, --system"
         )
-    what = next((name for name in BANDS if name == kind.value), None)
+    what = next((name for name in BANDS if name == kind), None)
     if what is None or out.suffix.lower() not in (".tif", ".tiff"):
         raise ConfigError(f"{out}: a terrain is written as GeoTIFF (.tif); give --format change or --format surface")
     require_files([out], overwrite)
@@ -170,15 +138,6 @@ def _export_terrain(
 
 
 def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None, as_of: str | None) -> GridGeometry:
-    from ltm_core.fuel.class_map import UNSEEN, read_fuel_map, snapped_grid, write_fuel_map
-    from ltm_core.fuel.export.companion_files_io import write_palette_style
-    from ltm_core.fuel.export.export_grid import GridTransfer
-    from ltm_core.fuel.export.provenance import software
-    from ltm_core.fuel.life_form import life_form_labels
-    from ltm_core.site.site_io import load_site
-    from ltm_core.vision.labels import LabelSet
-    from ltm_ros.fuel_map.source import FuelSource
-
     labels, tags = LabelSet.load(), {}
     if source.suffix.lower() in (".tif", ".tiff") and as_of is None:
         classes, geometry = read_fuel_map(source)
@@ -194,8 +153,6 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
                 classes, geometry, labels = layers.life_form, map_.geometry, map_.labels
                 tags = map_.provenance(layers, None, as_of).tags()
         else:
-            from ltm_ros.recordings.recorded_run import last_fuel_map
-
             classes, geometry, labels = last_fuel_map(source, loaded)
     if crs is not None:
         source_grid, geometry = geometry, snapped_grid(geometry, crs)
@@ -207,42 +164,26 @@ def _export_classes(source: Path, out: Path, site: Path | None, crs: str | None,
 
 
 def fire(
-    landscape: Annotated[
-        Path, typer.Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF of 8 bands).")
-    ],
-    ignition: Annotated[str, typer.Option("--ignition", help="Ignition point x,y in the landscape's CRS.")],
-    wind: Annotated[str, typer.Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],
+    landscape: Annotated[Path, Argument(help="Fuel map store (.ltm, with --site), or landscape (LCP, GeoTIFF).")],
+    ignition: Annotated[str, Option(help="Ignition point x,y in the landscape's CRS.")],
+    wind: Annotated[str, Option("--wind", help="Wind speed in m/s at 10 m, and direction it comes from: 8,45.")],
     moisture: Annotated[
         str | None,
-        typer.Option(
-            help="Fuel moisture: Scott and Burgan scenario (D2L2), or five values in %: dead 1 h, 10 h, 100 h, "
-            "live herbaceous, live woody (6,7,8,60,90)."
+        Option(
+            help="Fuel moisture: scenario (D2L2), or % of dead 1 h, 10 h, 100 h, live herbaceous, woody (6,7,8,60,90)."
         ),
     ] = None,
-    hours: Annotated[float, typer.Option(help="Duration of the fire in hours.")] = 6.0,
-    site: Annotated[Path | None, typer.Option("--site", help="Site file of a store.")] = None,
-    before: Annotated[
-        Path | None, typer.Option("--before", help="For a landscape file: the earlier landscape.")
-    ] = None,
-    since: Annotated[
-        str | None, typer.Option("--since", help="For a store: date of the earlier map. Default: the prior map.")
-    ] = None,
-    ignition_crs: Annotated[
-        str | None, typer.Option("--ignition-crs", help="CRS of --ignition, such as EPSG:4326 for degrees.")
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report, images, GeoTIFF and KMZ.")] = Path(
-        "out/fire"
-    ),
+    hours: Annotated[float, Option(help="Duration of the fire in hours.")] = 6.0,
+    site: Annotated[Path | None, Option(help="Site file of a store.")] = None,
+    before: Annotated[Path | None, Option(help="For a landscape file: the earlier landscape.")] = None,
+    since: Annotated[str | None, Option(help="For a store: date of the earlier map. Default: the prior.")] = None,
+    ignition_crs: Annotated[str | None, Option(help="CRS of --ignition; EPSG:4326: degrees.")] = None,
+    out: Annotated[Path, Option("--out", "-o", help="Folder for report, images, GeoTIFF and KMZ.")] = Path("out/fire"),
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate a fire on the prior and on the updated map, and show the difference. This is no forecast."""
-    from rich.console import Console
+    from ltm_ros.fuel_map.fire import FILES, NO_FORECAST, open_pair, run_fires, sentences, write_results  # jinja2
 
-    from ltm_core.fire.effect import FireScenario, Moisture, Wind, ignition_cell
-    from ltm_core.fire.pyretechnics import interpreter
-    from ltm_ros.fuel_map.fire import FILES, NO_FORECAST, open_pair, run_fires, sentences, write_results
-
-    console = Console()
     blowing, wet = Wind.parse(wind), Moisture.parse(moisture)
     require_files([out / name for name in FILES], overwrite)
     interpreter()
@@ -250,7 +191,7 @@ def fire(
     row, col = ignition_cell(ignition, ignition_crs, pair.after)
     ignition_cell(ignition, ignition_crs, pair.before)
     scenario = FireScenario(row, col, blowing, wet, hours)
-    with console.status("") as status:
+    with working("") as status:
         result = run_fires(pair, scenario, status.update)
     write_results(out, pair, scenario, result)
     rows = []
@@ -259,8 +200,8 @@ def fire(
         rows.append((f"{area.hours:g}", number(area.before), number(area.after), change))
     title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
     columns = (">hours", ">before", ">after", ">difference")
-    print_table(console, title, columns, rows)
+    print_table(title, columns, rows)
     for sentence in [*sentences(pair, result), NO_FORECAST]:
-        console.print(sentence, highlight=False)
+        say(sentence)
     slowest = f"{max(result.seconds):.1f} s for the slowest of {len(result.seconds)} fires"
-    console.print(f"wrote {out / FILES[0]}; {slowest}", highlight=False)
+    say(f"wrote {out / FILES[0]}; {slowest}")

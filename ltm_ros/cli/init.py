@@ -6,68 +6,50 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
+from pyproj import Geod
+from rich.markup import escape
+from typer import Option
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.cli.output import print_table
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from ltm_ros.site_setup.camera_list import CameraValues
-    from ltm_ros.site_setup.site_plan import SitePlan
-    from ltm_ros.site_setup.source import Source
+from ltm_ros.cli.check import report
+from ltm_ros.cli.output import numbers, print_table, progress_bar, say, warn, working
+from ltm_ros.site_setup.camera_list import CameraValues, parse_camera, read_cameras
+from ltm_ros.site_setup.site_plan import SitePlan, Wish, carry_out, plan_site
+from ltm_ros.site_setup.source import Source
+from ltm_ros.site_setup.sources import load_sources
 
 _ASK_FROM = 500_000_000
 """Number of bytes to fetch from which the command waits for a confirmation."""
 
 
 def init(
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder of the site.")] = None,
-    lonlat: Annotated[str | None, typer.Option(help="Middle of the site as LON,LAT (WGS 84 degrees).")] = None,
-    name: Annotated[str, typer.Option(help="Name of the site: a-z, 0-9 and _.")] = "",
-    radius: Annotated[str, typer.Option(help="Half width of the fine DEM, such as 8km or 500m.")] = "8km",
+    out: Annotated[Path | None, Option("--out", "-o", help="Folder of the site.")] = None,
+    lonlat: Annotated[str | None, Option(help="Middle of the site as LON,LAT (WGS 84 degrees).")] = None,
+    name: Annotated[str, Option(help="Name of the site: a-z, 0-9 and _.")] = "",
+    radius: Annotated[str, Option(help="Half width of the fine DEM, such as 8km or 500m.")] = "8km",
     camera: Annotated[
-        list[str] | None,
-        typer.Option(help="NAME=LON,LAT,height=20,azimuth=214,hfov=54,photos=FOLDER. Azimuth: true north. Repeatable."),
+        list[str] | None, Option(help="NAME=LON,LAT,height=20,azimuth=214,hfov=54; azimuth: true north.")
     ] = None,
-    cameras: Annotated[
-        Path | None, typer.Option(help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")
-    ] = None,
-    crs: Annotated[str | None, typer.Option(help="Projected CRS. Default: that of --dem, or the UTM zone.")] = None,
-    dem: Annotated[
-        list[Path] | None, typer.Option(help="Own DEM: file or folder of tiles, any CRS. Repeatable.")
-    ] = None,
-    fuel: Annotated[Path | None, typer.Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,
-    surface: Annotated[
-        Path | None, typer.Option(help="Own raster of tree tops and roofs, or of canopy height.")
-    ] = None,
-    sources: Annotated[
-        str | None, typer.Option(help="File with other data sources (YAML), or `list` to print all sources.")
-    ] = None,
-    update: Annotated[
-        Literal["dem", "coarser", "surface", "fuel"] | None, typer.Option(help="Raster of an existing site to replace.")
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be fetched, and stop.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Fetch more than 500 MB without asking.")] = False,
+    cameras: Annotated[Path | None, Option(help="Cameras as CSV or GeoJSON, or ALERTCalifornia's list (JSON).")] = None,
+    crs: Annotated[str | None, Option(help="Projected CRS. Default: that of --dem, or the UTM zone.")] = None,
+    dem: Annotated[list[Path] | None, Option(help="Own DEM: file or folder of tiles, any CRS. Repeatable.")] = None,
+    fuel: Annotated[Path | None, Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,
+    surface: Annotated[Path | None, Option(help="Own raster of tree tops and roofs, or of canopy height.")] = None,
+    sources: Annotated[str | None, Option(help="File with other data sources (YAML), or `list` to print them.")] = None,
+    update: Annotated[Literal["dem", "coarser", "surface", "fuel"] | None, Option(help="Raster to replace.")] = None,
+    dry_run: Annotated[bool, Option("--dry-run", help="Print what would be fetched, and stop.")] = False,
+    yes: Annotated[bool, Option("--yes", "-y", help="Fetch more than 500 MB without asking.")] = False,
 ) -> None:
     """Make a site: fetch terrain and fuel, write rasters, site.yaml and a check picture. Or add to an existing one."""
-    from rich.console import Console
-    from rich.markup import escape
-
-    from ltm_ros.cli.run import report
-    from ltm_ros.site_setup.site_plan import Wish, carry_out, plan_site
-    from ltm_ros.site_setup.sources import load_sources
-
-    console = Console()
     known = load_sources(Path(sources) if sources not in (None, "list") else None)
     if sources == "list":
-        _print_sources(console, known)
+        _print_sources(known)
         return
     if out is None:
         raise ConfigError("give the folder of the site with --out")
@@ -76,20 +58,20 @@ def init(
     wanted, remarks = _cameras(camera or [], cameras, place, metres)
     files = {"dem": dem or [], "fuel": [fuel] if fuel else [], "surface": [surface] if surface else []}
     wish = Wish(out.expanduser(), name, place, metres, crs, wanted, files, update)
-    with console.status("looking for data"):
+    with working("looking for data"):
         plan = plan_site(wish, known)
-    _print_plan(console, plan)
+    _print_plan(plan)
     if dry_run:
         return
     if plan.expected_bytes > _ASK_FROM and not yes:
         typer.confirm(f"Fetch {plan.expected_bytes / 1e6:.0f} MB?", abort=True)
-    with _ended_by_signals(), _bars(console) as progress:
-        layers, said = carry_out(plan, progress)
+    with _ended_by_signals(), progress_bar("fetching, MB") as progress:
+        layers, said = carry_out(plan, lambda _, done, total: progress(done // 1_000_000, total // 1_000_000 + 1))
     for key, layer in layers.items():
-        console.print(escape(f"{key}: {layer.path} ({layer.described})"), highlight=False)
+        say(f"{key}: {layer.path} ({layer.described})")
     for remark in dict.fromkeys([*plan.remarks, *remarks, *said]):
-        console.print(f"[yellow]{escape(remark)}", highlight=False)
-    wrong = report(console, wish.site_file, wish.out / "check.png")
+        warn(remark)
+    wrong = report(wish.site_file, wish.out / "check.png")
     command = f"ltm run {wish.site_file} --state {wish.out / 'map'} --view"
     typer.echo(f"Next: {command}" if not wrong else f"Correct {wish.site_file}, then: ltm check {wish.site_file}")
     raise typer.Exit(1 if wrong else 0)
@@ -110,10 +92,7 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _lonlat(text: str) -> tuple[float, float]:
-    try:
-        lon, lat = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ConfigError(f"--lonlat {text}: give two numbers separated by a comma, LON,LAT") from None
+    lon, lat = numbers(text, "--lonlat", (2,))
     if not (-180 <= lon <= 180 and -84 <= lat <= 84):
         raise ConfigError(f"--lonlat {text}: give longitude in [-180, 180], then latitude in [-84, 84]")
     return lon, lat
@@ -131,10 +110,6 @@ def _cameras(
     stated: list[str], listed: Path | None, place: tuple[float, float] | None, radius: float
 ) -> tuple[list[CameraValues], list[str]]:
     """Return the cameras of the options; of a list, those within the radius."""
-    from pyproj import Geod
-
-    from ltm_ros.site_setup.camera_list import parse_camera, read_cameras
-
     cameras = [parse_camera(text) for text in stated]
     if listed is None:
         return cameras, []
@@ -149,52 +124,22 @@ def _cameras(
     return cameras + near, remarks
 
 
-def _print_sources(console: Console, sources: list[Source]) -> None:
-    from rich.markup import escape
-
-    rows = [
-        (
-            s.name,
-            ", ".join(s.kinds),
-            f"{s.resolution_m:g} m",
-            s.vertical_crs or "",
-            escape(s.licence),
-            escape(s.address),
-        )
-        for s in sources
-    ]
-    print_table(
-        console, "sources, preferred ones first", ("name", "delivers", "cells", "heights", "licence", "address"), rows
-    )
+def _print_sources(sources: list[Source]) -> None:
+    rows = []
+    for s in sources:
+        cells = f"{s.resolution_m:g} m"
+        rows.append((s.name, ", ".join(s.kinds), cells, s.vertical_crs or "", escape(s.licence), escape(s.address)))
+    print_table("sources, preferred ones first", ("name", "delivers", "cells", "heights", "licence", "address"), rows)
 
 
-def _print_plan(console: Console, plan: SitePlan) -> None:
-    from rich.markup import escape
-
+def _print_plan(plan: SitePlan) -> None:
     rows = []
     for step in plan.steps:
-        source = step.source
-        size = "" if source is None else f"{step.expected_bytes / 1e6:.1f} MB"
-        what = ", ".join(str(path) for path in step.own) if source is None else source.name
-        year = "" if step.plan is None or step.plan.year is None else str(step.plan.year)
-        cells = "" if source is None else f"{source.resolution_m:g} m"
-        rows.append((step.key, escape(what), cells, year, size, "" if source is None else escape(source.licence)))
+        if step.source is None or step.plan is None:
+            rows.append((step.key, escape(", ".join(map(str, step.own))), "", "", "", ""))
+        else:
+            source, year, size = step.source, step.plan.year, f"{step.plan.expected_bytes / 1e6:.1f} MB"
+            cells = f"{source.resolution_m:g} m"
+            rows.append((step.key, source.name, cells, "" if year is None else str(year), size, escape(source.licence)))
     total = f"{plan.crs}; {plan.expected_bytes / 1e6:.1f} MB to fetch"
-    print_table(console, total, ("raster", "source", ">cells", ">year", ">size", "licence"), rows)
-
-
-@contextmanager
-def _bars(console: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress bar for each raster; yields `update(key, done, total)` in bytes."""
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        tasks: dict[str, int] = {}
-
-        def update(key: str, done: int, total: int) -> None:
-            if key not in tasks:
-                tasks[key] = bar.add_task(key)
-            bar.update(tasks[key], completed=done, total=total)  # type: ignore[arg-type]
-
-        yield update
+    print_table(total, ("raster", "source", ">cells", ">year", ">size", "licence"), rows)

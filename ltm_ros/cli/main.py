@@ -1,38 +1,38 @@
-"""The command `ltm`. Commands import what they need when they run, so that `ltm --help` is quick."""
+"""The command `ltm`. The module of a command is imported when the command runs, so that `ltm --help` is quick."""
 
 from __future__ import annotations
 
+import ast
 import errno
 import os
 import re
 import sys
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 from typer.core import TyperGroup
+from typer.main import get_command
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.cli.assess import assess
-from ltm_ros.cli.cameras import cameras
-from ltm_ros.cli.demo import demo
-from ltm_ros.cli.export import export, fire
-from ltm_ros.cli.init import init
-from ltm_ros.cli.locate import locate
-from ltm_ros.cli.mask import label, mask
-from ltm_ros.cli.models import models
-from ltm_ros.cli.pose_import import import_poses
-from ltm_ros.cli.pose_mount import mount
-from ltm_ros.cli.pose_photo import photo
-from ltm_ros.cli.pose_points import points
-from ltm_ros.cli.record import import_, record, replay
-from ltm_ros.cli.reprocess import reprocess
-from ltm_ros.cli.run import certs, check, region, run
-from ltm_ros.cli.tower import doctor, rollback, status, upgrade
-from ltm_ros.cli.trace import trace, viewshed
-from ltm_ros.cli.train import train
-from ltm_ros.cli.view import view
+from ltm_ros.cli.output import command_group
 
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else it searches all installed packages at each start
+
+COMMANDS = {
+    "Start here": "demo.demo init.init check.check run.run view.view",
+    "Cameras and poses": (
+        "cameras.cameras pose_import.pose mask.mask mask.label train.train locate.locate trace.viewshed trace.trace"
+    ),
+    "Maps": "export.export export.fire assess.assess",
+    "Recordings": "record.record record.replay record.import_ reprocess.reprocess",
+    "Tower and region": "tower.status tower.doctor tower.upgrade tower.rollback run.region run.certs",
+    "Networks": "models.models",
+}
+"""The commands by the heading under which `ltm --help` lists them, each as module.function."""
 
 _PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of a file or file system that the user must fix; it may have changed since the command's checks."""
@@ -153,8 +153,7 @@ UNITS = ("degrees", "metres", "seconds", "minutes", "hours", "days", "GB", "mm",
 
 
 def metavar_of(name: str, text: str, is_path: bool) -> str:
-    """Return what help shows as the value of an option: by its name, by file, folder or unit in its help text, or else
-    its name."""
+    """Return what help shows as the value of an option: by its name, or by file, folder or unit in its help."""
     if named := next((metavar for metavar, names in METAVARS.items() if name in names.split()), None):
         return named
     if is_path:
@@ -164,32 +163,64 @@ def metavar_of(name: str, text: str, is_path: bool) -> str:
     return unit.upper()
 
 
+class Commands(Mapping[str, Any]):
+    """The commands by name; the module of one is imported when it is looked up."""
+
+    def __init__(self) -> None:
+        listed = [place.split(".") for places in COMMANDS.values() for place in places.split()]
+        self._places = {function.rstrip("_"): (module, function) for module, function in listed}
+
+    def __getitem__(self, name: str) -> Any:
+        module, function = self._places[name]
+        command = getattr(import_module(f"ltm_ros.cli.{module}"), function)
+        group = command if isinstance(command, typer.Typer) else command_group()
+        if group is not command:
+            group.command(name)(command)
+        made = get_command(group)
+        made.name = name
+        _complete(made, name)
+        return made
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def summary(self, name: str) -> str:
+        """Return the first sentence of a command's help, which is read from its source without importing it."""
+        module, function = self._places[name]
+        text = ""
+        for node in ast.parse((Path(__file__).parent / f"{module}.py").read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and node.name == function:
+                text = ast.get_docstring(node) or ""
+            elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == function:  # command_group(help)
+                text = ast.literal_eval(node.value.args[0])  # type: ignore[attr-defined]
+        return re.split(r"(?<=\.)\s", text)[0]
+
+
 class HelpfulGroup(TyperGroup):
-    """Completes the help of all commands with examples and metavars, and lists commands below the headings of their
-    `rich_help_panel`: plain text, because rich takes 0.2 s to load."""
+    """The command `ltm`: lists the commands below their headings, in plain text, because rich takes 0.2 s to load."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        _complete(self, "")
+        self.commands: Any = Commands()
+        _complete(self, "", below=False)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands with the first sentences of their help."""
-        rows: dict[str, list[tuple[str, str]]] = {}
-        for name, command in self.commands.items():
-            heading = getattr(command, "rich_help_panel", None)
-            rows.setdefault(heading if isinstance(heading, str) else "Commands", []).append(
-                (name, command.get_short_help_str(formatter.width - 14))
-            )
-        for heading, commands in rows.items():
+        for heading, places in COMMANDS.items():
+            names = [place.partition(".")[2].rstrip("_") for place in places.split()]
             with formatter.section(heading):
-                formatter.write_dl(commands)
+                formatter.write_dl([(name, self.commands.summary(name)) for name in names])
 
 
-def _complete(command: Any, path: str) -> None:
-    for name, child in getattr(command, "commands", {}).items():
-        _complete(child, f"{path} {name}".strip())
-    below = [lines[0] for name, lines in EXAMPLES.items() if name.startswith(f"{path} ")]
-    command.epilog = "\n\n".join(("Examples:", *EXAMPLES.get(path, below)))
+def _complete(command: Any, path: str, below: bool = True) -> None:
+    """Add examples and metavars to the help of a command, and of those below it."""
+    for name, child in getattr(command, "commands", {}).items() if below else ():
+        _complete(child, f"{path} {name}")
+    first = [lines[0] for name, lines in EXAMPLES.items() if name.startswith(f"{path} ")]
+    command.epilog = "\n\n".join(("Examples:", *EXAMPLES.get(path, first)))
     for param in [*command.params, command.get_help_option(typer.Context(command, **HELP))]:
         kind = param.type_descriptor
         if param.param_type_name == "argument":
@@ -224,54 +255,11 @@ def _print_version(wanted: bool) -> None:
 @cli.callback()
 def _options(
     version: Annotated[  # the callback prints it
-        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
+        bool, Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Live terrain and fuel maps from fire-watch cameras."""
 
-
-pose = typer.Typer(no_args_is_help=True, help="Find or import camera poses; calibrate a PTZ mount.")
-for method in (points, photo, mount):
-    pose.command()(method)
-pose.command("import")(import_poses)
-
-START, POSES, MAPS, RECORDINGS, TOWER, NETWORKS = (
-    "Start here",
-    "Cameras and poses",
-    "Maps",
-    "Recordings",
-    "Tower and region",
-    "Networks",
-)
-"""Headings under which `ltm --help` lists the commands."""
-
-cli.command(rich_help_panel=START)(demo)
-cli.command(rich_help_panel=START)(init)
-cli.command(rich_help_panel=START)(check)
-cli.command(rich_help_panel=START)(run)
-cli.command(rich_help_panel=START)(view)
-cli.add_typer(cameras, name="cameras", rich_help_panel=POSES)
-cli.add_typer(pose, name="pose", rich_help_panel=POSES)
-cli.command(rich_help_panel=POSES)(mask)
-cli.command(rich_help_panel=POSES)(label)
-cli.add_typer(train, name="train", rich_help_panel=POSES)
-cli.command(rich_help_panel=POSES)(locate)
-cli.command(rich_help_panel=POSES)(viewshed)
-cli.command(rich_help_panel=POSES)(trace)
-cli.command(rich_help_panel=MAPS)(export)
-cli.command(rich_help_panel=MAPS)(fire)
-cli.add_typer(assess, name="assess", rich_help_panel=MAPS)
-cli.command(rich_help_panel=RECORDINGS)(record)
-cli.command(rich_help_panel=RECORDINGS)(replay)
-cli.command(name="import", rich_help_panel=RECORDINGS)(import_)
-cli.command(rich_help_panel=RECORDINGS)(reprocess)
-cli.command(rich_help_panel=TOWER)(status)
-cli.command(rich_help_panel=TOWER)(doctor)
-cli.command(rich_help_panel=TOWER)(upgrade)
-cli.command(rich_help_panel=TOWER)(rollback)
-cli.command(rich_help_panel=TOWER)(region)
-cli.command(rich_help_panel=TOWER)(certs)
-cli.command(rich_help_panel=NETWORKS)(models)
 
 EXTRAS = {
     "rclpy": "ltm[ros]",

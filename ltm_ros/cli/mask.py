@@ -2,38 +2,41 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
+from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.pictures import to_png
+from ltm_core.pictures.photo_overlays import mask_picture
+from ltm_core.site.site_io import load_site
+from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import require_files, require_folder
-from ltm_ros.cli.output import Overwrite, print_table
-
-if TYPE_CHECKING:
-    from ltm_core.vision.areas import NamedArea
-    from ltm_core.vision.mask_config import ViewMask
-    from ltm_core.vision.mask_proposals import Proposal
+from ltm_core.vision.areas import NamedArea, polygons_of, read_areas, write_areas
+from ltm_core.vision.labels import LabelSet
+from ltm_core.vision.manifest import DEFAULT_MODEL
+from ltm_core.vision.mask_config import ViewMask
+from ltm_core.vision.mask_proposals import MOST_FRAMES, Proposal, drawn_proposals, propose_mask
+from ltm_core.vision.masks import write_mask
+from ltm_core.vision.segmenter import Segmenter
+from ltm_ros.cli.output import Overwrite, numbers, print_table, say
+from ltm_ros.labelling.server import LabelServer, LabelSession, serve
+from ltm_ros.recordings.recorded_run import folder_pictures, recorded_pictures
 
 
 def label(
-    folder: Annotated[Path, typer.Argument(help="Folder of photos; receives polygons.json and NAME_labels.png.")],
-    model: Annotated[
-        str, typer.Option(help="Segmentation network that proposes labels, or none. Default: the shipped one.")
-    ] = "",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Local TCP port; 0: a free one.")] = 0,
-    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+    folder: Annotated[Path, Argument(help="Folder of photos; receives polygons.json and NAME_labels.png.")],
+    model: Annotated[str, Option(help="Network that proposes labels, or none. Default: the shipped one.")] = "",
+    port: Annotated[int, Option(min=0, max=65535, help="Local TCP port; 0: a free one.")] = 0,
+    browser: Annotated[bool, Option(help="Open the page in a browser.")] = True,
 ) -> None:
     """Label areas in photos with polygons and a brush, on a web page that only this machine can open.
 
     A photo is saved when you leave it, or with Ctrl-S. Ctrl-C ends the program."""
-    from functools import partial
-
-    from ltm_core.vision.manifest import DEFAULT_MODEL
-    from ltm_core.vision.segmenter import Segmenter
-    from ltm_ros.labelling.server import LabelServer, LabelSession, serve
-
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder")
     require_folder(folder)
@@ -42,27 +45,16 @@ def label(
 
 
 def mask(
-    pictures: Annotated[Path, typer.Argument(help="Folder of one camera's images, or a recording (with --site).")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="PNG to write. Default: CAMERA_mask.png beside the site file, or mask.png."),
-    ] = None,
-    site: Annotated[Path | None, typer.Option(help="Site file of the camera.")] = None,
-    camera: Annotated[str, typer.Option(help="Name of the camera in the site file.")] = "",
-    only: Annotated[
-        str, typer.Option(metavar="PATTERN", help="For a folder: pattern of image names, such as 'west_2018*'.")
-    ] = "*",
-    keep: Annotated[str, typer.Option(help="Numbers of the correct proposals, such as 1,3; or all, or none.")] = "",
-    drawn: Annotated[
-        Path | None, typer.Option(help="polygons.json of `ltm label`; its areas of class masked are proposed, too.")
-    ] = None,
-    view: Annotated[str, typer.Option(help="PTZ camera: name of the view of these images (with --looking).")] = "",
+    pictures: Annotated[Path, Argument(help="Folder of one camera's images, or a recording (with --site).")],
+    out: Annotated[Path | None, Option("--out", "-o", help="PNG to write. Default: CAMERA_mask.png at SITE.")] = None,
+    site: Annotated[Path | None, Option(help="Site file of the camera.")] = None,
+    camera: Annotated[str, Option(help="Name of the camera in the site file.")] = "",
+    only: Annotated[str, Option(metavar="PATTERN", help="Pattern of image names in a folder, as 'west_2018*'.")] = "*",
+    keep: Annotated[str, Option(help="Numbers of the correct proposals, such as 1,3; or all, or none.")] = "",
+    drawn: Annotated[Path | None, Option(help="polygons.json of `ltm label`: also propose its masked areas.")] = None,
+    view: Annotated[str, Option(help="PTZ camera: name of the view of these images (with --looking).")] = "",
     looking: Annotated[
-        str,
-        typer.Option(
-            help="Viewing direction of that view: AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees; of a "
-            "recording, only images with this direction are used."
-        ),
+        str, Option(help="Its direction: AZIMUTH,PITCH[,HFOV] in degrees; others of a recording are ignored.")
     ] = "",
     overwrite: Overwrite = False,
 ) -> None:
@@ -71,17 +63,6 @@ def mask(
     Without --keep, the PNG and the polygons hold every proposal. With --keep, they hold only the chosen ones, and the
     line for the site file is printed. The proposals depend only on the images, so their numbers stay the same. Draw
     masts, roofs and other objects on the labelling page (`ltm label`), and pass them with --drawn."""
-    from rich.console import Console
-
-    from ltm_core.pictures import to_png
-    from ltm_core.pictures.photo_overlays import mask_picture
-    from ltm_core.site.site_io import load_site
-    from ltm_core.vision.areas import read_areas, write_areas
-    from ltm_core.vision.labels import LabelSet
-    from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
-    from ltm_core.vision.masks import write_mask
-    from ltm_ros.recordings.recorded_run import folder_pictures, recorded_pictures
-
     if (site is None) != (not camera):
         raise ConfigError("give --site and --camera together: the site file and the camera of the mask")
     turned = _view(view, looking)
@@ -105,26 +86,20 @@ def mask(
         areas = [area for area in read_areas(drawn) if area.image in names]
         proposals += drawn_proposals(areas, LabelSet.load().names, frames[0].shape[:2])
     kept = _kept(keep, len(proposals))
-    console = Console()
-    rows = (
-        (str(number), proposal.kind, f"{proposal.hidden.mean():.2%}", proposal.reason, "yes" if keeps else "no")
-        for number, (proposal, keeps) in enumerate(zip(proposals, kept, strict=True), start=1)
-    )
-    title = f"{len(frames)} images of one camera"
-    print_table(console, title, (">number", "what", ">share", "why", "kept"), rows)
+    numbered = list(zip(range(1, len(proposals) + 1), proposals, kept, strict=True))
+    rows = ((str(n), p.kind, f"{p.hidden.mean():.2%}", p.reason, "yes" if keeps else "no") for n, p, keeps in numbered)
+    print_table(f"{len(frames)} images of one camera", (">number", "what", ">share", "why", "kept"), rows)
     target.parent.mkdir(parents=True, exist_ok=True)
     beside[1].write_bytes(to_png(mask_picture(frames[0], [p.hidden for p in proposals], kept)))
-    console.print(f"check {beside[1]}", highlight=False)
-    chosen = [(n, p) for n, (p, k) in enumerate(zip(proposals, kept, strict=True), start=1) if k]
+    say(f"check {beside[1]}")
+    chosen = [(n, p) for n, p, keeps in numbered if keeps]
     if not chosen:
-        console.print("nothing to mask" if keep or not proposals else "nothing is kept")
+        say("nothing to mask" if keep or not proposals else "nothing is kept")
         return
-    import numpy as np
-
     hidden = np.logical_or.reduce([proposal.hidden for _, proposal in chosen])
     write_mask(target, hidden)
     write_areas(beside[0], _areas(names[0], chosen))
-    console.print(f"{target}: {hidden.mean():.1%} of the image\n  {beside[0]}", highlight=False)
+    say(f"{target}: {hidden.mean():.1%} of the image\n  {beside[0]}")
     if keep:
         typer.echo(f"cameras:\n  {camera or 'CAMERA'}:\n{_line(_below(target, site), turned)}")
     else:
@@ -133,35 +108,21 @@ def mask(
 
 def _view(name: str, looking: str) -> ViewMask | None:
     """Return the view of --view and --looking, without its mask. Raises ConfigError."""
-    from pydantic import ValidationError
-
-    from ltm_core.vision.mask_config import ViewMask
-
     if bool(name) != bool(looking):
         raise ConfigError("give --view and --looking together: the name and the viewing direction of a view")
     if not name:
         return None
-    parts = dict(zip(("azimuth_deg", "pitch_deg", "hfov_deg"), looking.split(","), strict=False))
-    try:
-        if looking.count(",") > 2:
-            raise ValueError("too many numbers")
-        return ViewMask.model_validate({"name": name, **{k: float(v) for k, v in parts.items()}, "mask": "-"})
-    except (ValueError, ValidationError) as error:
-        raise ConfigError(
-            f"--looking {looking}: expected AZIMUTH,PITCH or AZIMUTH,PITCH,HFOV in degrees, such as 271.5,-4"
-        ) from error
+    parts = numbers(looking, "--looking AZIMUTH,PITCH[,HFOV]", (2, 3))
+    stated = dict(zip(("azimuth_deg", "pitch_deg", "hfov_deg"), parts, strict=False))
+    return checked(ViewMask, {"name": name, **stated, "mask": "-"}, f"--looking {looking}")
 
 
 def _line(mask: str, view: ViewMask | None) -> str:
     """Return the lines for the site file, below the camera."""
     if view is None:
         return f"    mask: {mask}"
-    stated = view.model_dump(exclude={"mask"}, exclude_defaults=True)
-    return (
-        "    view_masks:\n      - {"
-        + ", ".join(f"{key}: {value}" for key, value in stated.items())
-        + f", mask: {mask}}}"
-    )
+    stated = view.model_dump(exclude={"mask"}, exclude_defaults=True) | {"mask": mask}
+    return "    view_masks:\n      - {" + ", ".join(f"{key}: {value}" for key, value in stated.items()) + "}"
 
 
 def _kept(keep: str, count: int) -> list[bool]:
@@ -180,8 +141,6 @@ def _kept(keep: str, count: int) -> list[bool]:
 
 
 def _areas(image: str, chosen: list[tuple[int, Proposal]]) -> list[NamedArea]:
-    from ltm_core.vision.areas import NamedArea, polygons_of
-
     return [
         NamedArea(image=image, kind=proposal.kind, polygon=polygon, number=number, reason=proposal.reason)
         for number, proposal in chosen

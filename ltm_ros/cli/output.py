@@ -1,4 +1,4 @@
-"""Check output paths, show progress, and print tables."""
+"""Options that commands share, and what they print: lines, tables and progress."""
 
 from __future__ import annotations
 
@@ -11,26 +11,75 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
-from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_core.base.errors import ConfigError
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import ProgressColumn
-    from rich.table import Table
+if TYPE_CHECKING:  # rich takes 0.2 s to load, which `ltm --help` does not need
+    from rich.status import Status
 
     from ltm_core.raster.dem import Dem
     from ltm_ros.runtime.health import NodeRow
 
+Row = Sequence[str]
 
-def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | None]) -> Table:
-    """Return a table for a terminal. Cells may hold markup; escape text that others wrote.
+
+Overwrite = Annotated[bool, Option("--overwrite", help="Overwrite existing files.")]
+Dems = Annotated[list[Path], Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")]
+OptionalDems = Annotated[
+    list[Path] | None, Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
+]
+Crs = Annotated[str | None, Option(help="CRS of a raster that states none, such as EPSG:32611.")]
+Domain = Annotated[int | None, Option(min=0, max=232, help="ROS domain. Default: ROS_DOMAIN_ID, else 0.")]
+OnlyCameras = Annotated[list[str] | None, Option(help="Use only this camera. Repeatable.")]
+
+
+def command_group(help_: str = "") -> typer.Typer:
+    """Return a group of commands, whose help is plain text."""
+    return typer.Typer(no_args_is_help=True, add_completion=False, rich_markup_mode=None, help=help_)
+
+
+def numbers(text: str, option: str, counts: tuple[int, ...] = ()) -> list[float]:
+    """Return comma-separated numbers. Raises ConfigError if their count is not one that the option accepts."""
+    try:
+        values = [float(part) for part in text.replace(";", ",").replace(" ", ",").split(",") if part]
+    except ValueError as error:
+        raise ConfigError(f"{option} must be numbers separated by commas, got {text!r}") from error
+    if not all(math.isfinite(value) for value in values) or (counts and len(values) not in counts) or not values:
+        wanted = f"{' or '.join(map(str, counts))} " if counts else ""
+        raise ConfigError(f"{option} needs {wanted}finite numbers separated by commas, got {text!r}")
+    return values
+
+
+def say(text: str, style: str = "") -> None:
+    """Print lines as they are, in a style of rich, wrapped to the terminal."""
+    from rich.console import Console
+    from rich.text import Text
+
+    Console().print(Text(text, style))
+
+
+def warn(text: str) -> None:
+    """Print a warning."""
+    say(text, "yellow")
+
+
+def working(what: str) -> Status:
+    """Return a context that shows what the command is doing."""
+    from rich.console import Console
+
+    return Console().status(what)
+
+
+def print_table(title: str, columns: Row, rows: Iterable[Row | None]) -> None:
+    """Print a table. Cells and title may hold markup; escape text that others wrote.
 
     Args:
         title: above the table; "" for none.
         columns: their names; a name that begins with ">" makes its column right-aligned and never wrapped. If all names
             are empty, the table has no header.
         rows: the cells of each row; None draws a line between two rows."""
+    from rich.console import Console
     from rich.table import Table
 
     made = Table(title=title or None, title_justify="left", show_header=any(columns))
@@ -42,7 +91,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | Non
             made.add_section()
         else:
             made.add_row(*row)
-    return made
+    Console().print(made)
 
 
 def open_dems(rasters: Sequence[Path], crs: str | None) -> Dem:
@@ -54,63 +103,38 @@ def open_dems(rasters: Sequence[Path], crs: str | None) -> Dem:
 
 def print_doubts(dem: Dem) -> Dem:
     """Print to stderr what may be wrong with a terrain; return it."""
-    from rich.console import Console
-    from rich.markup import escape
-
     for doubt in dem.doubts:
-        Console(stderr=True).print(f"[yellow]{escape(doubt.text)}", highlight=False)
+        typer.secho(doubt.text, fg="yellow", err=True)
     return dem
 
 
-def print_table(console: Console, title: str, columns: Sequence[str], rows: Iterable[Sequence[str] | None]) -> None:
-    """Print a table; see `table`."""
-    console.print(table(title, columns, rows))
-
-
-def print_findings(console: Console, rows: Iterable[tuple[str, str, str, str, str]]) -> None:
-    """Print the results of checks, by area: area, state, the state's style, what was checked, what was found."""
+def print_findings(rows: Iterable[tuple[str, str, str, str, str]]) -> None:
+    """Print the results of checks by area: area, state, the state's style, what was checked, what was found."""
     from rich.markup import escape
 
-    cells: list[Sequence[str] | None] = []
+    cells: list[Row | None] = []
     last = ""
     for area, state, style, name, found in rows:
         if area != last:
             cells.append(None)
         cells.append((escape(area) if area != last else "", f"[{style}]{state}[/]", escape(name), escape(found)))
         last = area
-    print_table(console, "", ("", "", "what", "found"), cells)
+    print_table("", ("", "", "what", "found"), cells)
 
 
 @contextmanager
-def message_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar over messages; yields `update(done, total)`. A full bar starts again, for loops."""
-    from rich.progress import Progress
+def progress_bar(what: str, loops: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar; yields `update(done, total)`. With `loops`, a full bar starts again."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    with Progress(*_columns(), console=console) as bar:
-        task = bar.add_task(f"{what}: starting the graph", total=None)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns) as bar:
+        task = bar.add_task(what, total=None)
 
         def update(done: int, total: int) -> None:
-            place = (done - 1) % total + 1
-            description = f"{what}: waiting for its results" if done == total else what
-            bar.update(task, completed=place, total=total, description=description)
+            bar.update(task, completed=(done - 1) % total + 1 if loops else done, total=total)
 
         yield update
-
-
-@contextmanager
-def counting_bar(console: Console, what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar over items, with the remaining time; yields `update(done, total)`."""
-    from rich.progress import Progress, TimeRemainingColumn
-
-    with Progress(*_columns(), TimeRemainingColumn(), console=console) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _columns() -> tuple[ProgressColumn, ...]:
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-
-    return TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
 
 
 @contextmanager
@@ -124,32 +148,8 @@ def stop_on_signals(event: threading.Event) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Overwrite existing files.")]
-
-
-def writable_file(path: Path | None) -> Path | None:
-    """Check an option that names a file, which may exist. Raises ConfigError."""
-    if path is not None:
-        require_files([path])
-    return path
-
-
-def writable_folder(path: Path | None) -> Path | None:
-    """Check an option that names a folder. Raises ConfigError."""
-    if path is not None:
-        require_folder(path)
-    return path
-
-
-JsonFile = Annotated[
-    Path | None, typer.Option("--json", help="Also write all figures to this file.", callback=writable_file)
-]
-
-
-def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
+def print_nodes(rows: Sequence[NodeRow]) -> None:
     """Print messages in and out, drops by cause with an example of each, and latency since capture."""
-    from rich.markup import escape
-
     columns = ["node", ">in", ">out", ">drops", ">p50 ms", ">p95 ms", ">work ms"]
     if any(row.causes for row in rows):
         columns.append("dropped because")
@@ -159,48 +159,36 @@ def print_nodes(console: Console, rows: Sequence[NodeRow]) -> None:
         shown = ["" if math.isnan(t) else f"{t:.0f}" for t in times]
         drops = f"[red]{row.dropped}[/red]" if row.dropped else "0"
         causes = [row.causes] if row.causes else []
-        cells.append((_short(row), str(row.received), str(row.published), drops, *shown, *causes))
-    print_table(console, "nodes: frames and latency", columns, cells)
+        cells.append((_short(row.node), str(row.received), str(row.published), drops, *shown, *causes))
+    print_table("nodes: frames and latency", columns, cells)
     for row in rows:
         for reason in row.reasons:
-            console.print(f"[red]{escape(_short(row))}[/red] dropped by {escape(reason)}", highlight=False)
-    console.print("in, out: frames; p50, p95: latency since capture; work: median time in the node")
+            say(f"{_short(row.node)} dropped by {reason}", "red")
+    say("in, out: frames; p50, p95: latency since capture; work: median time in the node")
 
 
-def print_outcome(console: Console, summaries: Mapping[str, Mapping[str, str]]) -> None:
-    """Print the results of a replay: verdicts on depth, cells seen and changed, events. `print_nodes` prints what
-    was dropped."""
+def print_outcome(summaries: Mapping[str, Mapping[str, str]]) -> None:
+    """Print the results of a replay: verdicts on depth, cells seen and changed, events."""
     from rich.markup import escape
 
-    said = outcome(summaries)
-    if not said:
-        return
-    rows = ((what, escape(how_much)) for what, how_much in said)  # reasons may hold brackets
-    print_table(console, "results", ("", ""), rows)
+    if said := outcome(summaries):
+        print_table("results", ("", ""), ((what, escape(how_much)) for what, how_much in said))
 
 
 def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:
     """Return rows (what, how much) from the key -> value texts of the nodes' diagnostics."""
     rows = []
     for name, summary in sorted(summaries.items()):
-        node = "/".join(name.split("/")[2:]) or name
-        verdicts = _counts(summary, "noted.verdict.")
-        if verdicts:  # no shares: without subscribers only some frames are judged
-            rows.append((f"{node}: verdicts", ", ".join(f"{verdict} {n}" for verdict, n in verdicts.items())))
-            if "last_verdict" in summary:
-                rows.append((f"{node}: the last that was not ok", summary["last_verdict"]))
-        cells = _counts(summary, "cells.")
-        if cells:
-            rows.append((f"{node}: cells", ", ".join(f"{what} {n:,}" for what, n in cells.items())))
-        events = {k: n for k, n in _counts(summary, "noted.").items() if not k.startswith("verdict.")}
-        if events:
-            rows.append((f"{node}: events", ", ".join(f"{event} {n:,}" for event, n in events.items())))
+        counts = {key: int(value) for key, value in summary.items() if key.startswith(("noted.", "cells."))}
+        for what, prefix in (("verdicts", "noted.verdict."), ("cells", "cells."), ("events", "noted.")):
+            found = {key.removeprefix(prefix): counts.pop(key) for key in list(counts) if key.startswith(prefix)}
+            if found:
+                rows.append((f"{_short(name)}: {what}", ", ".join(f"{key} {n:,}" for key, n in found.items())))
+            if what == "verdicts" and found and "last_verdict" in summary:
+                rows.append((f"{_short(name)}: the last that was not ok", summary["last_verdict"]))
     return rows
 
 
-def _counts(summary: Mapping[str, str], prefix: str) -> dict[str, int]:
-    return {key.removeprefix(prefix): int(value) for key, value in summary.items() if key.startswith(prefix)}
-
-
-def _short(row: NodeRow) -> str:
-    return "/".join(row.node.split("/")[2:]) or row.node
+def _short(node: str) -> str:
+    """Return the name of a node without its site."""
+    return "/".join(node.split("/")[2:]) or node

@@ -4,19 +4,32 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import typer
+from rich.markup import escape
+from typer import Argument, Option
 
-from ltm_ros.cli.output import Overwrite, open_dems, print_table
-
-if TYPE_CHECKING:
-    from ltm_core.base.types import UInt8Array
-    from ltm_core.cameras.foreign_camera import ForeignPose
-    from ltm_core.geometry.camera import Camera
-    from ltm_core.geometry.geodesy import SiteFrame
-    from ltm_core.geometry.pose import Pose
-    from ltm_ros.recordings.importing.pose_check import Placement
+from ltm_core.base.errors import ConfigError, PoseError
+from ltm_core.base.types import UInt8Array
+from ltm_core.cameras.foreign_camera import ForeignPose, alternatives
+from ltm_core.cameras.plausibility import doubt_of_height
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame, ray_bend
+from ltm_core.pictures import to_png
+from ltm_core.pictures.trace import pose_fit_picture
+from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
+from ltm_core.storage.disk_io import require_files
+from ltm_core.storage.image_io import read_rgb
+from ltm_core.vision.segmenter import Segmenter
+from ltm_ros.cli.output import OptionalDems, Overwrite, command_group, open_dems, print_table, say, warn
+from ltm_ros.cli.pose_mount import mount
+from ltm_ros.cli.pose_photo import photo
+from ltm_ros.cli.pose_points import points
+from ltm_ros.cli.scene import write_pose
+from ltm_ros.recordings.importing.foreign_poses import read_foreign_poses, read_transform
+from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
 
 _MOST_TESTED = 3
 """Maximum number of photos by which axes and units are tested."""
@@ -25,41 +38,23 @@ _LEAST_FIT = 0.35
 
 
 def import_poses(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder of the other tool.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of pose files to write.")],
-    dem: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
-    ] = None,
-    photos: Annotated[Path | None, typer.Option(help="Folder of the photos; with --dem, tests axes and units.")] = None,
-    crs: Annotated[str | None, typer.Option(help="CRS of the poses, if neither file nor DEM states it.")] = None,
+    file: Annotated[Path, Argument(metavar="FILE", help="File or folder of the other tool.")],
+    out: Annotated[Path, Option("--out", "-o", help="Folder of pose files to write.")],
+    dem: OptionalDems = None,
+    photos: Annotated[Path | None, Option(help="Folder of the photos; with --dem, tests axes and units.")] = None,
+    crs: Annotated[str | None, Option(help="CRS of the poses, if neither file nor DEM states it.")] = None,
     focal: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENGTH", help="Focal length: 1484px, 24/36 (mm/sensor width), or 0.9 of the longer side."
-        ),
+        str | None, Option(metavar="LENGTH", help="1484px, 24/36 (mm/sensor width), or share of the longer side.")
     ] = None,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size. Default: that of the photos.")] = None,
-    transform: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Similarity from COLMAP's model to the map.")
-    ] = None,
-    geoid_undulation_m: Annotated[float, typer.Option(help="Geoid above ellipsoid in metres, for GPS heights.")] = 0.0,
-    picture: Annotated[Path | None, typer.Option(help="Folder for PNGs of terrain lines over the photos.")] = None,
+    size: Annotated[str | None, Option(metavar="WxH", help="Image size. Default: that of the photos.")] = None,
+    transform: Annotated[Path | None, Option(metavar="FILE", help="Similarity from COLMAP's model to the map.")] = None,
+    geoid_undulation_m: Annotated[float, Option(help="Geoid above ellipsoid in metres, for GPS heights.")] = 0.0,
+    picture: Annotated[Path | None, Option(help="Folder for PNGs of terrain lines over the photos.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Convert poses of Metashape, COLMAP, OpenSfM, alproj, ImGRAFT, PRACTISE, Pic2Map, or omega, phi, kappa.
 
     With --dem and --photos, other axes, angle units and image sides are tested, and used if they fit clearly better."""
-    from rich.console import Console
-    from rich.markup import escape
-
-    from ltm_core.base.errors import ConfigError, PoseError
-    from ltm_core.cameras.foreign_camera import alternatives
-    from ltm_core.cameras.plausibility import doubt_of_height
-    from ltm_core.geometry.geodesy import SiteFrame, ray_bend
-    from ltm_core.storage.disk_io import require_files
-    from ltm_ros.recordings.importing.foreign_poses import read_foreign_poses, read_transform
-    from ltm_ros.recordings.importing.pose_check import Placement, chosen_reading, readings
-
     sides = _size(size, photos)
     camera = _camera(focal, sides) if focal is not None and sides is not None else None
     tool, poses = read_foreign_poses(file, sides, camera, read_transform(transform) if transform else None)
@@ -77,44 +72,41 @@ def import_poses(
     placement = Placement(frame, local, ray_bend(True, 0.13), geoid_undulation_m)
     seen = _photos(poses, photos) if photos is not None and local is not None else {}
     found = readings(poses, placement, seen)
-    console = Console()
     print_table(
-        console,
         f"{tool}: {len(poses)} poses, tested with {len(seen)} photos",
         ("reading", ">skyline that fits", ">cost", "problem"),
-        [
-            (r.how, "" if r.fits is None else f"{r.fits:.0%}", "" if r.cost is None else f"{r.cost:.1f}",
-             escape(r.problem or ""))
-            for r in found
-        ],
-    )  # fmt: skip
+        [(r.how, _shown(r.fits, ".0%"), _shown(r.cost, ".1f"), escape(r.problem or "")) for r in found],
+    )
     how = chosen_reading(found)
     if how is not found[0]:
-        console.print(f"[yellow]{file} fits the photos {how.how}; this is used.", highlight=False)
+        warn(f"{file} fits the photos {how.how}; this is used.")
     elif how.fits is not None and how.fits < _LEAST_FIT:
-        console.print("[yellow]No axes and units fit the photos. Check position, focal length, distortion and the DEM.")
+        warn("No axes and units fit the photos. Check position, focal length, distortion and the DEM.")
     elif how.fits is None:
-        console.print("[yellow]Axes and units were not tested. To test them, give --dem and --photos.")
+        warn("Axes and units were not tested. To test them, give --dem and --photos.")
     rejected, doubts = 0, []
-    for pose, name in zip(poses, names, strict=True):
-        chosen = alternatives(pose)[how.how]
+    for stated, name in zip(poses, names, strict=True):
+        chosen = alternatives(stated)[how.how]
         placed = placement.placed(chosen)
         if placed.problem is not None:
             rejected += 1
-            console.print(f"[yellow]{escape(pose.name)}: rejected: {escape(placed.problem)}", highlight=False)
+            warn(f"{stated.name}: rejected: {placed.problem}")
             continue
         x, y, z = placed.pose.position
         if local is not None and (doubt := doubt_of_height(z, float(local.elevation_at(x, y)))) is not None:
-            doubts.append(f"{pose.name}: {doubt}")
-        _write(out / name, placed.pose, placed.camera, frame, f"From {file.name} ({tool}), {how.how}.")
-        if picture is not None and pose.name in seen:
-            _draw(picture / Path(name).with_suffix(".png"), seen[pose.name][0], chosen, placement, how.how)
+            doubts.append(f"{stated.name}: {doubt}")
+        write_pose(out / name, placed.camera, placed.pose, frame, f"From {file.name} ({tool}), {how.how}.")
+        if picture is not None and stated.name in seen:
+            _draw(picture / Path(name).with_suffix(".png"), seen[stated.name][0], chosen, placement, how.how)
     if doubts:
-        more = f" (and {len(doubts) - 1} more photos)" if len(doubts) > 1 else ""
-        console.print(f"[yellow]{escape(doubts[0] + more)}", highlight=False)
-    console.print(f"  {out}: {len(poses) - rejected} pose files", highlight=False)
+        warn(doubts[0] + (f" (and {len(doubts) - 1} more photos)" if len(doubts) > 1 else ""))
+    say(f"  {out}: {len(poses) - rejected} pose files")
     if rejected == len(poses):
         raise PoseError(f"{file}: none of {len(poses)} poses is possible on this terrain; check --crs, axes and units")
+
+
+def _shown(value: float | None, form: str) -> str:
+    return "" if value is None else f"{value:{form}}"
 
 
 def _file_name(name: str) -> str:
@@ -123,9 +115,6 @@ def _file_name(name: str) -> str:
 
 def _size(size: str | None, photos: Path | None) -> tuple[int, int] | None:
     """Return width and height as stated, or of the first photo; None if there is neither."""
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.storage.image_io import read_rgb
-
     if size is not None:
         sides = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", size)
         if sides is None:
@@ -141,9 +130,6 @@ def _size(size: str | None, photos: Path | None) -> tuple[int, int] | None:
 
 def _camera(focal: str, size: tuple[int, int]) -> Camera:
     """Return the camera of --focal."""
-    from ltm_core.base.errors import ConfigError
-    from ltm_core.geometry.camera import Camera
-
     number = r"\d+\.?\d*|\.\d+"
     form = re.fullmatch(rf"({number})(px|/({number}))?", focal)
     if form is None or not float(form[1]) > 0 or (form[3] and not float(form[3]) > 0):
@@ -155,9 +141,6 @@ def _camera(focal: str, size: tuple[int, int]) -> Camera:
 
 def _photos(poses: list[ForeignPose], folder: Path) -> dict[str, tuple[UInt8Array, UInt8Array]]:
     """Return some of the photos with their labels, by the names of their poses."""
-    from ltm_core.storage.image_io import read_rgb
-    from ltm_core.vision.segmenter import Segmenter
-
     by_stem = {path.stem: path for path in sorted(folder.iterdir())}
     named = [(pose.name, by_stem.get(Path(_file_name(pose.name)).stem)) for pose in poses]
     known = [(name, path) for name, path in named if path is not None]
@@ -172,22 +155,7 @@ def _photos(poses: list[ForeignPose], folder: Path) -> dict[str, tuple[UInt8Arra
     return found
 
 
-def _write(path: Path, pose: Pose, camera: Camera, frame: SiteFrame, note: str) -> None:
-    from ltm_core.tracing.trace_io import GuessConfig, write_pose_file
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    calibration = {"width": camera.width, "height": camera.height, "fx": camera.fx}
-    guess = GuessConfig.model_validate({"pose": {"x": 0.0, "y": 0.0, "z": 0.0}, "calibration": calibration})
-    write_pose_file(path, camera, pose, {}, guess, frame, [note])
-
-
 def _draw(path: Path, photo: UInt8Array, foreign: ForeignPose, placement: Placement, how: str) -> None:
-    from ltm_core.pictures import to_png
-    from ltm_core.pictures.trace import pose_fit_picture
-    from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-    from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
-    from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
-
     placed = placement.placed(foreign)
     if placement.dem is None or photo.shape[:2] != (placed.camera.height, placed.camera.width):
         return
@@ -196,3 +164,9 @@ def _draw(path: Path, photo: UInt8Array, foreign: ForeignPose, placement: Placem
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet = [(f"{foreign.name}, {how}", placed.camera, placed.pose)]
     path.write_bytes(to_png(pose_fit_picture(photo, placed.camera, horizon, sheet)))
+
+
+pose = command_group("Find or import camera poses; calibrate a PTZ mount.")
+for _method in (points, photo, mount):
+    pose.command()(_method)
+pose.command("import")(import_poses)

@@ -5,23 +5,32 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import typer
+import numpy as np
+from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError, ImageError, PoseError
+from ltm_core.geometry.zoom_lens import ZoomLens
+from ltm_core.pipeline.site_surface import site_terrain
+from ltm_core.pose_estimation.mount.mount_config import MountConfig, written_mount
+from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
+from ltm_core.pose_estimation.mount.mount_io import read_ptz_points, read_readings
+from ltm_core.pose_estimation.mount.mount_model import MountModel
+from ltm_core.pose_estimation.mount.mount_resection import MountResection, resect_mount
+from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
+from ltm_core.pose_estimation.skyline.find_pose import find_pose
+from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
+from ltm_core.site.networks import site_scene_filter, site_segmenter
+from ltm_core.site.site import Site
+from ltm_core.site.site_io import dumped, load_site, write_camera
 from ltm_core.storage.disk_io import require_files
-from ltm_ros.cli.output import Overwrite, print_table
+from ltm_core.tracing.trace_io import read_photo
+from ltm_core.vision.masks import Looking
+from ltm_ros.cli.cameras import READINGS
+from ltm_ros.cli.output import Overwrite, print_table, say, warn
 from ltm_ros.cli.pose_points import FirstPixel, SigmaPx, parameter_names
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from ltm_core.geometry.zoom_lens import ZoomLens
-    from ltm_core.pose_estimation.mount.mount_config import MountConfig
-    from ltm_core.pose_estimation.mount.mount_model import MountModel
-    from ltm_core.pose_estimation.mount.mount_resection import MountResection
-    from ltm_core.site.site import Site
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,34 +45,25 @@ class StatedMount:
 
 
 def mount(
-    site: Annotated[Path, typer.Argument(metavar="SITE", help="Site file, in which the mount is calibrated.")],
-    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="PTZ camera of the site.")],
+    site: Annotated[Path, Argument(metavar="SITE", help="Site file, in which the mount is calibrated.")],
+    camera: Annotated[str, Argument(metavar="CAMERA", help="PTZ camera of the site.")],
     gcps: Annotated[
-        Path | None,
-        typer.Option("--points", metavar="FILE", help="CSV of landmarks: id, x, y, z, u, v, pan, tilt, zoom."),
+        Path | None, Option("--points", metavar="FILE", help="CSV of landmarks: id, x, y, z, u, v, pan, tilt, zoom.")
     ] = None,
-    photos: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Photos of several presets, with their readings.csv.")
-    ] = None,
-    free: Annotated[
-        str, typer.Option(metavar="NAMES", help="With --points, also fit focal, lens (focal and k1), position.")
-    ] = "focal",
+    photos: Annotated[Path | None, Option(metavar="FOLDER", help="Photos of presets, with readings.csv.")] = None,
+    free: Annotated[str, Option(metavar="NAMES", help="Also fit focal, lens (focal and k1), position.")] = "focal",
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File for the mount, instead of the site file.")
-    ] = None,
+    out: Annotated[Path | None, Option("--out", "-o", metavar="FILE", help="File for the mount; else SITE.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Calibrate the mount of a PTZ head from landmarks or photos of several presets.
 
     A folder of photos needs readings.csv (name, pan_deg, tilt_deg, zoom), as `ltm cameras snapshot` writes it."""
-    if (gcps is None) == (photos is None):
-        raise ConfigError("give either --points (marked landmarks) or --photos (a folder of presets)")
     chosen = set(parameter_names(free))
     if chosen - {"focal", "lens", "position"}:
         raise ConfigError(f"--free {free}: landmarks fit focal, lens (focal and k1 at each zoom) and position")
-    ptz = ptz_mount_of(site, camera)
+    ptz = _stated_mount(site, camera)
     if out is not None:
         require_files([out], overwrite)
     elif ptz.config.calibrated and not overwrite:
@@ -71,19 +71,24 @@ def mount(
             f"{site}: the mount of {camera} is calibrated already; replace it with --overwrite, or write to "
             "another file with --out"
         )
-    if gcps is not None:
-        found, lens = calibrate_from_points(ptz, gcps, first_pixel, chosen, sigma_px)
+    if gcps is not None and photos is None:
+        model, lens = _from_points(ptz, gcps, first_pixel, chosen, sigma_px)
+    elif photos is not None and gcps is None:
+        model, lens = _from_photos(ptz, photos), ptz.lens
     else:
-        assert photos is not None  # nosec B101 # tells the type checker what holds
-        found, lens = calibrate_from_photos(ptz, photos)
-    write_mount(ptz, found, lens, site, camera, out)
+        raise ConfigError("give either --points (marked landmarks) or --photos (a folder of presets)")
+    section = {"mount": written_mount(model, lens if ptz.config.lens is not None else None, ptz.site.frame)}
+    _print_mount(ptz.model, model)
+    if out is None:
+        write_camera(site, camera, section)
+    else:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(dumped(section), encoding="utf-8")
+    say(f"  {out or site}")
 
 
-def ptz_mount_of(site_file: Path, camera: str) -> StatedMount:
+def _stated_mount(site_file: Path, camera: str) -> StatedMount:
     """Return the PTZ head of a camera. Raises ConfigError if it has no mount or no lens."""
-    from ltm_core.geometry.zoom_lens import ZoomLens
-    from ltm_core.site.site_io import load_site
-
     site = load_site(site_file)
     settings = site.camera(camera)
     mount = settings.mount
@@ -101,58 +106,35 @@ def ptz_mount_of(site_file: Path, camera: str) -> StatedMount:
     return StatedMount(site, camera, mount, mount.model(site.open_dem(), site.frame), lens)
 
 
-def calibrate_from_points(
+def _from_points(
     ptz: StatedMount, gcps: Path, first_pixel: float, free: set[str], sigma_px: float
 ) -> tuple[MountModel, ZoomLens]:
     """Fit the mount to landmarks; print the result."""
-    from rich.console import Console
-
-    from ltm_core.pose_estimation.mount.mount_io import read_ptz_points
-    from ltm_core.pose_estimation.mount.mount_resection import resect_mount
-
     points = read_ptz_points(gcps, ptz.site.frame, first_pixel)
+    zooms = ptz.config.lens is not None
     found = resect_mount(
         points,
         ptz.model,
         ptz.lens,
         ptz.site.bend,
-        free_focal=bool({"focal", "lens"} & free) and ptz.config.lens is not None,
+        free_focal=bool({"focal", "lens"} & free) and zooms,
         free_position="position" in free,
         sigma_px=sigma_px,
-        free_k1="lens" in free and ptz.config.lens is not None,
+        free_k1="lens" in free and zooms,
     )
-    console = Console()
     for note in found.notes:
-        console.print(f"[yellow]{note}", highlight=False)
+        warn(note)
     outliers = [name for name, used in zip(points.names, found.used, strict=True) if not used]
     if outliers:
-        console.print(f"[yellow]left out as outliers: {', '.join(outliers)}", highlight=False)
-    _print_landmarks(console, found)
-    if found.focal_factors:
-        _print_lens(console, found)
+        warn(f"left out as outliers: {', '.join(outliers)}")
+    _print_landmarks(found)
     return found.model, found.lens
 
 
-def calibrate_from_photos(ptz: StatedMount, photos: Path) -> tuple[MountModel, ZoomLens]:
-    """Fit the mount to skylines of several presets, with the site's labels and mask. Raises PoseError if they do not
-    determine it."""
-    from rich.console import Console
-
-    from ltm_core.pipeline.site_surface import site_terrain
-    from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
-    from ltm_core.pose_estimation.mount.mount_io import read_readings
-    from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
-    from ltm_core.pose_estimation.skyline.find_pose import find_pose
-    from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky
-    from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
-    from ltm_core.site.networks import site_scene_filter, site_segmenter
-    from ltm_core.tracing.trace_io import read_photo
-    from ltm_core.vision.masks import Looking
-    from ltm_ros.cli.cameras_snapshot import READINGS
-
+def _from_photos(ptz: StatedMount, photos: Path) -> MountModel:
+    """Fit the mount to skylines of presets, with the site's labels and mask. Raises PoseError if they are too few."""
     terrain, config = site_terrain(ptz.site)
-    segmenter = site_segmenter(ptz.site, ptz.camera)
-    scene = site_scene_filter(ptz.site, ptz.camera)
+    segmenter, scene = site_segmenter(ptz.site, ptz.camera), site_scene_filter(ptz.site, ptz.camera)
     azimuth, pitch, roll, tilt_zero = ptz.config.angle_sigmas_deg
     place, height = ptz.config.position_sigma or 0.0, ptz.config.height_sigma or 0.0
     priors, searches = [], []
@@ -161,73 +143,43 @@ def calibrate_from_photos(ptz: StatedMount, photos: Path) -> tuple[MountModel, Z
         file = photos / name
         if not file.is_file():
             raise ConfigError(f"{readings} names {name}, which is not in {photos}")
-        camera = ptz.lens.camera(zoom)
+        camera, pose = ptz.lens.camera(zoom), ptz.model.pose(pan, tilt)[0]
         photo = read_photo(file, camera)
-        pose = ptz.model.pose(pan, tilt)[0]
         view = scene.look(photo, Looking.of(camera, pose))
         labels = segmenter.segment(view.scene(photo)).labels
-        doubt = doubt_of_sky(labels, view.hidden)
-        if doubt is not None:
+        if (doubt := doubt_of_sky(labels, view.hidden)) is not None:
             raise ImageError(f"{file}: {doubt}")
-        prior = PosePrior(pose, azimuth, pitch, roll, place, height)
-        priors.append(prior)
+        priors.append(PosePrior(pose, azimuth, pitch, roll, place, height))
         evidence = picture_evidence(photo, labels, camera, config, view.hidden)
-        searches.append(find_pose(evidence, terrain, widened(prior, tilt_zero), config))
+        searches.append(find_pose(evidence, terrain, widened(priors[-1], tilt_zero), config))
     fit = fit_mount(priors, searches, config, tilt_zero)
     if fit.word != "accepted":
         raise PoseError(
             f"these {len(priors)} photos do not determine the mount: {fit.word} ({fit.reason}). Take more presets "
             "with a clear skyline, spread in pan, or mark landmarks (--points); nothing was written"
         )
-    Console().print(f"{fit.reason}; the cost of the second best mount is {fit.gap:.1f} higher", highlight=False)
-    return ptz.model.corrected(fit.rotation, fit.tilt_zero, fit.shift, fit.covariance), ptz.lens
+    say(f"{fit.reason}; the cost of the second best mount is {fit.gap:.1f} higher")
+    return ptz.model.corrected(fit.rotation, fit.tilt_zero, fit.shift, fit.covariance)
 
 
-def write_mount(
-    ptz: StatedMount, model: MountModel, lens: ZoomLens, site_file: Path, camera: str, out: Path | None
-) -> None:
-    """Write the mount into the site file, or into `out` alone. Prints what changed."""
-    from rich.console import Console
-
-    from ltm_core.pose_estimation.mount.mount_config import written_mount
-    from ltm_core.site.site_io import dumped, write_camera
-
-    section = written_mount(model, lens if ptz.config.lens is not None else None, ptz.site.frame)
-    console = Console()
-    _print_mount(console, ptz.model, model)
-    if out is None:
-        write_camera(site_file, camera, {"mount": section})
-    else:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(dumped({"mount": section}), encoding="utf-8")
-    console.print(f"  {out or site_file}", highlight=False)
-
-
-def _print_mount(console: Console, stated: MountModel, found: MountModel) -> None:
-    import numpy as np
-
-    def values(model: MountModel) -> list[float]:
-        return [*model.base.angles_deg, math.degrees(model.tilt_zero)]
-
+def _print_mount(stated: MountModel, found: MountModel) -> None:
     sigmas = np.degrees(np.sqrt(np.diag(found.angle_covariance)))
-    rows = []
     names = ("azimuth at pan 0", "pitch", "roll", "tilt zero")
-    for name, now, sigma, before in zip(names, values(found), sigmas, values(stated), strict=True):
-        rows.append((name, f"{now:.3f}", f"{sigma:.3f}", f"{before:.3f}"))
-    for name, now, before in (
-        ("pan grows", found.pan_sign, stated.pan_sign),
-        ("tilt grows", found.tilt_sign, stated.tilt_sign),
-    ):
-        words = ("clockwise", "anticlockwise") if name.startswith("pan") else ("upwards", "downwards")
-        rows.append((name, words[now < 0], "", words[before < 0]))
+    now, before = ([*m.base.angles_deg, math.degrees(m.tilt_zero)] for m in (found, stated))
+    rows = [
+        (name, f"{value:.3f}", f"{sigma:.3f}", f"{old:.3f}")
+        for name, value, sigma, old in zip(names, now, sigmas, before, strict=True)
+    ]
+    for axis, words in (("pan", ("clockwise", "anticlockwise")), ("tilt", ("upwards", "downwards"))):
+        sign, old_sign = (getattr(model, f"{axis}_sign") for model in (found, stated))
+        rows.append((f"{axis} grows", words[sign < 0], "", words[old_sign < 0]))
     worst = max(found.direction_sigma_deg(pan) for pan in np.arange(0.0, 360.0, 10.0))
-    print_table(console, "", ("mount", ">fitted, deg", ">sigma", ">stated, deg"), rows)
-    console.print(f"standard deviation of the viewing direction: at most {worst:.3f} deg at every pan", highlight=False)
+    print_table("", ("mount", ">fitted, deg", ">sigma", ">stated, deg"), rows)
+    say(f"standard deviation of the viewing direction: at most {worst:.3f} deg at every pan")
 
 
-def _print_landmarks(console: Console, found: MountResection) -> None:
-    import numpy as np
-
+def _print_landmarks(found: MountResection) -> None:
+    """Print the residuals of landmarks, and the lens at each zoom if it was fitted."""
     off = np.hypot(*found.residuals.T)
     rows = []
     for k, name in enumerate(found.points.names):
@@ -237,13 +189,12 @@ def _print_landmarks(console: Console, found: MountResection) -> None:
         rows.append(cells if found.used[k] else [f"[red]{cell}" for cell in cells])
     title = f"{len(off)} landmarks: median residual {np.median(off):.2f} px"
     columns = ("landmark", ">pan", ">tilt", ">zoom", ">du px", ">dv px", ">residual px")
-    print_table(console, title, columns, rows)
-
-
-def _print_lens(console: Console, found: MountResection) -> None:
-    rows = []
+    print_table(title, columns, rows)
+    lenses = []
     for zoom, factor in found.focal_factors.items():
         lens, sigma = found.lens.camera(zoom), found.focal_sigmas[zoom]
-        rows.append((f"{zoom:g}", f"{lens.hfov_deg:.3f}", f"{factor:.4f}", f"{sigma:.4f}", f"{lens.distortion[0]:.4f}"))
-    columns = (">zoom", ">field of view, deg", ">focal length / table", ">sigma", ">k1")
-    print_table(console, "", columns, rows)
+        lenses.append(
+            (f"{zoom:g}", f"{lens.hfov_deg:.3f}", f"{factor:.4f}", f"{sigma:.4f}", f"{lens.distortion[0]:.4f}")
+        )
+    if lenses:
+        print_table("", (">zoom", ">field of view, deg", ">focal length / table", ">sigma", ">k1"), lenses)

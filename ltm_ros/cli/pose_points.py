@@ -4,73 +4,58 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, cast
 
-import typer
+import numpy as np
+from rich.markup import escape
+from typer import Argument, Option
 
-from ltm_ros.cli.output import Overwrite, open_dems, print_table
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from ltm_core.geometry.camera import Camera
-    from ltm_core.pose_estimation.points.resection import Resection, TracedErrors
-    from ltm_core.pose_estimation.points.resection_io import ResectionSetup
-
+from ltm_core.base.errors import PoseError
+from ltm_core.geometry.geodesy import ray_bend
+from ltm_core.pictures import to_png
+from ltm_core.pictures.trace import residual_picture
+from ltm_core.pose_estimation.lens import LensPrior
+from ltm_core.pose_estimation.points.resection import Resection, TracedErrors, resect, traced_errors
+from ltm_core.pose_estimation.points.resection_adjustment import Parameter
+from ltm_core.pose_estimation.points.resection_io import (
+    ResectionSetup,
+    held_notes,
+    read_control_points,
+    set_up_resection,
+    write_pose,
+    write_report,
+)
+from ltm_core.storage.config_io import load_yaml
+from ltm_core.storage.disk_io import require_files
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.trace_io import GuessConfig, read_photo
+from ltm_ros.cli.output import OptionalDems, Overwrite, open_dems, print_table, say, warn
 
 FirstPixel = Annotated[
-    float, typer.Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5.")
+    float, Option(metavar="PIXELS", help="Coordinate of the first pixel's centre: 0 (OpenCV), 1 (Matlab), 0.5.")
 ]
-SigmaPx = Annotated[float, typer.Option(metavar="PIXELS", help="Smallest standard deviation of a marked pixel.")]
+SigmaPx = Annotated[float, Option(metavar="PIXELS", help="Smallest standard deviation of a marked pixel.")]
 """Options of commands that read marked pixels."""
 
 
 def points(
-    control_points: Annotated[
-        Path, typer.Argument(metavar="POINTS", help="CSV of control points: id, x, y, z (or lon, lat, z), u, v.")
-    ],
-    guess: Annotated[Path, typer.Option(metavar="FILE", help="Pose file with what is known: position and camera.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Pose file to write, for `ltm trace`.")],
-    dem: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
-    ] = None,
+    control_points: Annotated[Path, Argument(metavar="POINTS", help="CSV: id, x, y, z (or lon, lat, z), u, v.")],
+    guess: Annotated[Path, Option(metavar="FILE", help="Pose file with what is known: position and camera.")],
+    out: Annotated[Path, Option("--out", "-o", metavar="FILE", help="Pose file to write, for `ltm trace`.")],
+    dem: OptionalDems = None,
     free: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Also fit focal, k1, k2, k3, centre, position, lens, lens:phone (ptz, action, slr), or none.",
-        ),
+        Option(metavar="NAMES", help="Fit focal, k1, k2, k3, centre, position, lens[:phone|ptz|action|slr], none."),
     ] = None,
     first_pixel: FirstPixel = 0.0,
     sigma_px: SigmaPx = 1.0,
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="PNG of the residuals as arrows.")] = None,
-    image: Annotated[Path | None, typer.Option(metavar="FILE", help="Photo, background of --picture.")] = None,
-    crs: Annotated[str | None, typer.Option(help="CRS of the control points, if no DEM states it.")] = None,
+    report: Annotated[Path | None, Option(metavar="FILE", help="JSON with residuals and covariance.")] = None,
+    picture: Annotated[Path | None, Option(metavar="FILE", help="PNG of the residuals as arrows.")] = None,
+    image: Annotated[Path | None, Option(metavar="FILE", help="Photo, background of --picture.")] = None,
+    crs: Annotated[str | None, Option(help="CRS of the control points, if no DEM states it.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Fit a camera's pose and calibration to surveyed points that are marked in its photo."""
-    from typing import cast
-
-    from rich.console import Console
-    from rich.markup import escape
-
-    from ltm_core.base.errors import PoseError
-    from ltm_core.geometry.geodesy import ray_bend
-    from ltm_core.pose_estimation.lens import LensPrior
-    from ltm_core.pose_estimation.points.resection import resect
-    from ltm_core.pose_estimation.points.resection_adjustment import Parameter
-    from ltm_core.pose_estimation.points.resection_io import (
-        held_notes,
-        read_control_points,
-        set_up_resection,
-        write_pose,
-        write_report,
-    )
-    from ltm_core.storage.config_io import load_yaml
-    from ltm_core.storage.disk_io import require_files
-    from ltm_core.tracing.trace_io import GuessConfig
-
     require_files([place for place in (out, report, picture) if place is not None], overwrite)
     known = load_yaml(guess, GuessConfig)
     terrain = open_dems(dem, crs) if dem else None
@@ -83,23 +68,19 @@ def points(
     if sigma and kind:
         chosen.append("position")
 
+    bend = ray_bend(known.curvature, known.refraction)
+
     def fitted(names: list[str], pixels: float) -> Resection:
-        return resect(
-            marked,
-            setup.camera,
-            setup.position,
-            setup.angles_deg,
-            cast("list[Parameter]", names),
-            ray_bend(known.curvature, known.refraction),
-            sigma,
-            pixels,
-            lens,
-        )
+        free = cast("list[Parameter]", names)
+        return resect(marked, setup.camera, setup.position, setup.angles_deg, free, bend, sigma, pixels, lens)
+
+    def advice(outliers: int) -> str:
+        return _what_fits(fitted, chosen, sigma_px, outliers, setup)
 
     try:
         result = fitted(chosen, sigma_px)
     except PoseError as error:
-        raise PoseError(f"{error}{_what_fits(fitted, chosen, sigma_px, len(marked.names), setup)}") from error
+        raise PoseError(f"{error}{advice(len(marked.names))}") from error
     for place in (out, report, picture):
         if place is not None:
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -107,21 +88,15 @@ def points(
     if report is not None:
         write_report(report, result)
     if picture is not None:
-        from ltm_core.pictures import to_png
-        from ltm_core.pictures.trace import residual_picture
-        from ltm_core.tracing.trace_io import read_photo
-
         photo = read_photo(image, setup.camera) if image is not None else None
         picture.write_bytes(to_png(residual_picture(setup.camera, marked.pixels, result.residuals, result.used, photo)))
-    console = Console()
     for note in held_notes(result):
-        console.print(f"[yellow]{escape(note)}", highlight=False)
+        warn(note)
     if result.outliers:
-        remedy = _what_fits(fitted, chosen, sigma_px, len(result.outliers), setup)
-        console.print(f"[yellow]rejected as outliers: {escape(', '.join(result.outliers) + remedy)}", highlight=False)
-    _print_parameters(console, result, setup.camera, setup)
-    _print_points(console, result, setup, known.curvature, known.refraction)
-    console.print(escape(f"  {out}"), highlight=False)
+        warn(f"rejected as outliers: {', '.join(result.outliers)}{advice(len(result.outliers))}")
+    _print_parameters(result, setup)
+    _print_points(result, setup, known.curvature, known.refraction)
+    say(f"  {out}")
 
 
 def parameter_names(listed: str) -> list[str]:
@@ -145,10 +120,6 @@ def _what_fits(
     setup: ResectionSetup,
 ) -> str:
     """Return advice that fits more of the points: a free position, or less exact pixels. Empty: there is none."""
-    import numpy as np
-
-    from ltm_core.base.errors import PoseError
-
     free_place = free if "position" in free else [*free, "position"]
     for names, pixels in ((free_place, sigma_px), (free, 3 * sigma_px), (["position"], 2 * sigma_px)):
         try:
@@ -166,87 +137,65 @@ def _what_fits(
     return ""
 
 
-def _print_parameters(console: Console, result: Resection, start: Camera, setup: ResectionSetup) -> None:
-    azimuth, pitch, roll = result.pose.angles_deg
-    x, y, z = (float(v) for v in result.pose.position)
-    values = {
-        "azimuth_deg": f"{azimuth:.4f}",
-        "pitch_deg": f"{pitch:.4f}",
-        "roll_deg": f"{roll:.4f}",
-        "fx": f"{result.camera.fx:.2f}",
-        "k1": f"{result.camera.distortion[0]:.5f}",
-        "k2": f"{result.camera.distortion[1]:.5f}",
-        "k3": f"{result.camera.distortion[4]:.5f}",
-        "cx": f"{result.camera.cx:.2f}",
-        "cy": f"{result.camera.cy:.2f}",
-        "x": f"{x + setup.frame.x_origin:.2f}",
-        "y": f"{y + setup.frame.y_origin:.2f}",
-        "z": f"{z:.2f}",
-    }
-    started = {"fx": f"{start.fx:.2f}", "k1": f"{start.distortion[0]:.5f}"}
-    started |= {
-        "x": f"{setup.position[0] + setup.frame.x_origin:.2f}",
-        "y": f"{setup.position[1] + setup.frame.y_origin:.2f}",
-        "z": f"{setup.position[2]:.2f}",
-    }
+def _print_parameters(result: Resection, setup: ResectionSetup) -> None:
+    (azimuth, pitch, roll), camera, start, frame = result.pose.angles_deg, result.camera, setup.camera, setup.frame
     rows = []
-    for name, value in values.items():
+    for name, value, given, digits, optional in (
+        ("azimuth_deg", azimuth, None, 4, False),
+        ("pitch_deg", pitch, None, 4, False),
+        ("roll_deg", roll, None, 4, False),
+        ("fx", camera.fx, start.fx, 2, False),
+        ("k1", camera.distortion[0], start.distortion[0], 5, False),
+        ("k2", camera.distortion[1], None, 5, True),
+        ("k3", camera.distortion[4], None, 5, True),
+        ("cx", camera.cx, None, 2, True),
+        ("cy", camera.cy, None, 2, True),
+        ("x", result.pose.position[0] + frame.x_origin, setup.position[0] + frame.x_origin, 2, False),
+        ("y", result.pose.position[1] + frame.y_origin, setup.position[1] + frame.y_origin, 2, False),
+        ("z", result.pose.position[2], setup.position[2], 2, False),
+    ):
         sigma = result.sigmas.get(name)
-        if sigma is None and name in ("k2", "k3", "cx", "cy"):
-            continue
-        rows.append((name, value, "held" if sigma is None else f"{sigma:.3g}", started.get(name, "")))
-    print_table(console, "camera", ("parameter", ">fitted", ">sigma", ">given"), rows)
+        if sigma is not None or not optional:
+            shown = "held" if sigma is None else f"{sigma:.3g}"
+            rows.append((name, f"{value:.{digits}f}", shown, "" if given is None else f"{given:.{digits}f}"))
+    print_table("camera", ("parameter", ">fitted", ">sigma", ">given"), rows)
 
 
-def _print_points(
-    console: Console, result: Resection, setup: ResectionSetup, curvature: bool, refraction: float
-) -> None:
-    import numpy as np
-    from rich.markup import escape
-
-    median = float(np.median(result.residual_px))
-    title = f"{len(result.used)} points: median residual {median:.2f} px"
+def _print_points(result: Resection, setup: ResectionSetup, curvature: bool, refraction: float) -> None:
+    title = f"{len(result.used)} points: median residual {np.median(result.residual_px):.2f} px"
     columns = ["point", ">u", ">v", ">du px", ">dv px", ">residual px"]
     traced = None
-    below = _depth_below(setup, result)
+    x, y, z = (float(v) for v in result.pose.position)
+    below = 0.0 if setup.dem is None else float(setup.dem.elevation_at(x, y)) - z
     if below > 0:
-        x, y, _ = result.pose.position
         title += (
             f"\n[yellow]the fitted camera, at ({x + setup.frame.x_origin:.1f}, {y + setup.frame.y_origin:.1f}) in "
             f"{setup.frame.crs}, is {below:.1f} m below the DEM: `ltm trace` rejects it. Check the height of the guess "
             "and the vertical datums of points and DEM"
         )
     elif setup.dem is not None:
-        from ltm_core.pose_estimation.points.resection import traced_errors
-        from ltm_core.tracing import TerrainTracer
-
-        tracer = TerrainTracer(setup.dem, curvature, refraction)
-        traced = traced_errors(result, tracer)
+        traced = traced_errors(result, TerrainTracer(setup.dem, curvature, refraction))
         columns += [">trace error", ">over the DEM", "state in the DEM"]
         title += f"\n{_summary(traced)}"
     rows = []
     for k, name in enumerate(result.points.names):
-        u, v = result.points.pixels[k]
-        du, dv = result.residuals[k]
-        cells = [escape(name), f"{u:.1f}", f"{v:.1f}", f"{du:.2f}", f"{dv:.2f}", f"{result.residual_px[k]:.2f}"]
+        shown = (
+            f"{value:.{digits}f}"
+            for value, digits in zip(
+                (*result.points.pixels[k], *result.residuals[k], result.residual_px[k]), (1, 1, 2, 2, 2), strict=True
+            )
+        )
+        cells = [escape(name), *shown]
         if traced is not None:
             off, above = float(traced.errors[k]), float(traced.above_ground[k])
             cells += [f"{off:.2f} m" if traced.met[k] else "no terrain", "" if np.isnan(above) else f"{above:+.1f} m"]
             cells.append(escape(str(traced.states[k])))
         rows.append(cells if result.used[k] else [f"[red]{cell}" for cell in cells])
-    print_table(console, title, columns, rows)
-
-
-def _depth_below(setup: ResectionSetup, result: Resection) -> float:
-    """Return how far the camera is below the DEM, in metres; NaN without a DEM."""
-    x, y, z = (float(value) for value in result.pose.position)
-    return float("nan") if setup.dem is None else float(setup.dem.elevation_at(x, y)) - z
+    print_table(title, columns, rows)
 
 
 def _summary(traced: TracedErrors) -> str:
     """Return the median distance between traced and surveyed places, of the points that meet terrain."""
-    import numpy as np
-
     met, seen = traced.met, traced.met & traced.visible
     if not met.any():
         return "no marked pixel meets known terrain: check the DEM and the camera's position"

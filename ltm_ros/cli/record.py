@@ -3,50 +3,49 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
+from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_files, require_folder
-from ltm_ros.cli.output import Overwrite, print_table
+from ltm_msgs_py.bag.writer import BagWriter
+from ltm_ros.cli.output import (
+    Domain,
+    Overwrite,
+    print_nodes,
+    print_outcome,
+    print_table,
+    progress_bar,
+    say,
+    stop_on_signals,
+    warn,
+)
+from ltm_ros.launching.graph import Graph, ParameterValue, describe
+from ltm_ros.launching.runner import Runner
 from ltm_ros.recordings.replay import LONGEST_PAUSE
+from ltm_ros.recordings.replay.offline import require_frames, require_whole
+from ltm_ros.runtime.health import node_rows
 
 
 def record(
-    site: Annotated[Path, typer.Option("--site", help="Site file.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Bag folder to write.")],
-    topics: Annotated[
-        list[str] | None,
-        typer.Argument(help="Topics or patterns such as '/site/*/depth/*'. Default: the site's inputs and results."),
-    ] = None,
-    max_gb: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            help="Maximum GB of all recordings of this name; oldest files go first (0: unlimited). Default: the "
-            "site file's value, else 16 GB or half of the disk.",
-        ),
-    ] = None,
-    min_free_gb: Annotated[
-        float | None,
-        typer.Option(
-            min=0,
-            help="Stop recording below this free space in GB. Default: the site file's value, else 2 GB or a "
-            "tenth of the disk.",
-        ),
-    ] = None,
-    sim_time: Annotated[bool, typer.Option("--sim-time", help="Use /clock for stamps, as during a replay.")] = False,
-    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph. Default: ROS_DOMAIN_ID.")] = None,
+    site: Annotated[Path, Option(help="Site file.")],
+    out: Annotated[Path, Option("--out", "-o", help="Bag folder to write.")],
+    topics: Annotated[list[str] | None, Argument(help="Topics or patterns; default: inputs and results.")] = None,
+    max_gb: Annotated[float | None, Option(min=0, help="Maximum GB of a name's recordings; 0: unlimited.")] = None,
+    min_free_gb: Annotated[float | None, Option(min=0, help="Free GB below which recording stops.")] = None,
+    sim_time: Annotated[bool, Option("--sim-time", help="Use /clock for stamps, as during a replay.")] = False,
+    domain: Domain = None,
 ) -> None:
-    """Record a site's topics to OUT until Ctrl-C. Long recordings keep the newest files (--max-gb)."""
-    from dataclasses import replace
+    """Record a site's topics to OUT until Ctrl-C. Long recordings keep the newest files (--max-gb).
 
-    from ltm_core.site.site_io import load_site
-    from ltm_ros.launching.graph import Graph, ParameterValue, describe
-    from ltm_ros.launching.runner import Runner
-
+    Defaults: the site file's values, else at most 16 GB or half of the disk, and 2 GB or a tenth of it left free."""
     parameters: dict[str, ParameterValue] = {"bag": str(out.resolve())}
     for name, gigabytes in (("max_bytes", max_gb), ("min_free_bytes", min_free_gb)):
         if gigabytes is not None:
@@ -62,48 +61,29 @@ def record(
 
 
 def replay(
-    bag: Annotated[Path, typer.Argument(help="Bag folder, or .mcap, .mcap.zstd or .db3 file.")],
-    site: Annotated[
-        Path | None, typer.Option("--site", help="Site file. Default: the site.yaml in or beside the bag.")
-    ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("out/replay"),
-    remap: Annotated[
-        list[str] | None,
-        typer.Option(metavar="RECORDED:=NAME", help="Read a recorded topic under another name; repeatable."),
-    ] = None,
-    offline: Annotated[
-        bool, typer.Option("--offline", help="Replay in one process without DDS, at full speed, bit-repeatable.")
-    ] = False,
-    rate: Annotated[float, typer.Option(help="Live: playback rate; 2 is twice as fast.")] = 1.0,
-    longest_pause: Annotated[
-        float, typer.Option(help="Live: skip recorded pauses longer than this, in seconds. inf: never.")
-    ] = LONGEST_PAUSE,
-    loop: Annotated[bool, typer.Option("--loop", help="Live: repeat until Ctrl-C.")] = False,
-    start: Annotated[float, typer.Option(min=0, help="Start, in seconds into the recording.")] = 0.0,
-    duration: Annotated[float | None, typer.Option(min=0, help="Duration to play, in seconds.")] = None,
-    record: Annotated[bool, typer.Option("--record", help="Also write a bag of the results.")] = False,
-    rrd: Annotated[bool, typer.Option("--rrd", help="Live: also write a Rerun recording.")] = False,
-    domain: Annotated[int | None, typer.Option(help="ROS domain of the graph. Default: ROS_DOMAIN_ID.")] = None,
-    publish_only: Annotated[
-        bool, typer.Option("--publish-only", help="Live: publish to a running graph (with sim time).")
-    ] = False,
+    bag: Annotated[Path, Argument(help="Bag folder, or .mcap, .mcap.zstd or .db3 file.")],
+    site: Annotated[Path | None, Option(help="Site file. Default: site.yaml in or beside the bag.")] = None,
+    out: Annotated[Path, Option("--out", "-o", help="Folder for the results.")] = Path("out/replay"),
+    remap: Annotated[list[str] | None, Option(metavar="RECORDED:=NAME", help="Read a topic as another one.")] = None,
+    offline: Annotated[bool, Option("--offline", help="Replay in one process, fast and bit-repeatable.")] = False,
+    rate: Annotated[float, Option(help="Live: playback rate; 2 is twice as fast.")] = 1.0,
+    longest_pause: Annotated[float, Option(help="Live: skip longer pauses, in seconds. inf: never.")] = LONGEST_PAUSE,
+    loop: Annotated[bool, Option("--loop", help="Live: repeat until Ctrl-C.")] = False,
+    start: Annotated[float, Option(min=0, help="Start, in seconds into the recording.")] = 0.0,
+    duration: Annotated[float | None, Option(min=0, help="Duration to play, in seconds.")] = None,
+    record: Annotated[bool, Option("--record", help="Also write a bag of the results.")] = False,
+    rrd: Annotated[bool, Option("--rrd", help="Live: also write a Rerun recording.")] = False,
+    domain: Domain = None,
+    publish_only: Annotated[bool, Option("--publish-only", help="Live: publish to a graph with sim time.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Replay BAG through the graph of SITE and write its fuel map to OUT/fuel_map.tif."""
     if offline and (loop or rrd or publish_only or rate != 1.0):
         raise ConfigError("--offline ignores time: remove --rate, --loop, --rrd and --publish-only")
-
-    from rich.console import Console
-
-    from ltm_core.site.site_io import load_site
-    from ltm_msgs_py.bag.writer import BagWriter
-    from ltm_ros.cli.output import message_bar, print_nodes, print_outcome, stop_on_signals
     from ltm_ros.recordings.recorded_run import site_of
-    from ltm_ros.recordings.replay.offline import require_frames, require_whole
     from ltm_ros.recordings.replay.run import ReplayOptions, publish, run_live, run_offline
-    from ltm_ros.runtime.health import node_rows
 
-    console, site = Console(), site or site_of(bag)
+    site = site or site_of(bag)
     names = _names(remap or [])
     rrd_file = out / "replay.rrd" if rrd else None
     options = ReplayOptions(
@@ -120,7 +100,7 @@ def replay(
     )
     stopping = threading.Event()
     if publish_only:
-        with stop_on_signals(stopping), message_bar(console, "replay") as progress:
+        with stop_on_signals(stopping), progress_bar("replay", loops=True) as progress:
             require_whole(bag, publish(bag, site, options, progress, stopping.is_set))
         return
     require_files([out / "fuel_map.tif", *([rrd_file] if rrd_file else [])], overwrite)
@@ -130,17 +110,17 @@ def replay(
             raise ConfigError(f"{out / 'bag'} is the recording to replay; give another --out")
         BagWriter.require_free(out / "bag", overwrite)
     out.mkdir(parents=True, exist_ok=True)
-    with message_bar(console, "replay") as progress:
+    with progress_bar("replay", loops=True) as progress:
         if offline:
             summaries = run_offline(bag, site, options, progress)
         else:
             with stop_on_signals(stopping):
-                summaries = run_live(bag, site, options, progress, console.print, stopping.is_set)
-    print_nodes(console, node_rows(summaries))
-    print_outcome(console, summaries)
+                summaries = run_live(bag, site, options, progress, say, stopping.is_set)
+    print_nodes(node_rows(summaries))
+    print_outcome(summaries)
     if not stopping.is_set():
         require_frames(bag, checked, summaries, names)
-    console.print(f"fuel map: {out / 'fuel_map.tif'}")
+    say(f"fuel map: {out / 'fuel_map.tif'}")
     require_whole(bag, summaries)
 
 
@@ -154,111 +134,72 @@ def _names(remap: list[str]) -> dict[str, str]:
 
 
 def import_(
-    images: Annotated[
-        list[Path], typer.Argument(metavar="PHOTOS...", help="Photo, folder, or Sensor Logger recording.")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Bag folder to write.")],
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            "--poses",
-            help="CSV (name, x y z or lon lat, azimuth_deg, fx, ...), or a folder of pose files. Overrides EXIF.",
-        ),
-    ] = None,
-    site: Annotated[Path | None, typer.Option("--site", help="Site file: map frame, DEM, camera names.")] = None,
-    camera: Annotated[str | None, typer.Option("--camera", help="Camera that took the photos.")] = None,
-    pitch_deg: Annotated[
-        float | None, typer.Option(help="Pitch in degrees of photos without one. Default: reject them.")
-    ] = None,
-    height_above_ground: Annotated[float, typer.Option(min=0, help="Height in metres of photos without one.")] = 2.0,
-    start_height: Annotated[
-        float | None, typer.Option(help="Height (DEM datum, metres) at a barometer's start. Default: the terrain's.")
-    ] = None,
-    geoid_undulation_m: Annotated[
-        float | None,
-        typer.Option(help="Geoid height above ellipsoid in metres, for ellipsoidal altitudes (then also EXIF's)."),
-    ] = None,
-    focal_35mm: Annotated[
-        float | None,
-        typer.Option("--focal-35mm", min=1, help="Focal length of photos without one, in mm (35 mm equivalent)."),
-    ] = None,
-    time_zone: Annotated[
-        str | None, typer.Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")
-    ] = None,
-    refine: Annotated[
-        bool, typer.Option("--refine", help="Find the pose of each photo by the terrain's skyline; needs --site.")
-    ] = False,
-    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="Skip photos that cannot be imported.")] = False,
+    images: Annotated[list[Path], Argument(metavar="PHOTOS...", help="Photo, folder, or Sensor Logger recording.")],
+    out: Annotated[Path, Option("--out", help="Bag folder to write.")],
+    poses: Annotated[Path | None, Option("--poses", help="CSV, or folder of pose files; they override EXIF.")] = None,
+    site: Annotated[Path | None, Option(help="Site file: map frame, DEM, camera names.")] = None,
+    camera: Annotated[str | None, Option(help="Camera that took the photos.")] = None,
+    pitch_deg: Annotated[float | None, Option(help="Pitch in degrees if unknown. Default: rejected.")] = None,
+    height_above_ground: Annotated[float, Option(min=0, help="Height in metres of photos without one.")] = 2.0,
+    start_height: Annotated[float | None, Option(help="Height in metres at a barometer's start; else ground.")] = None,
+    geoid_undulation_m: Annotated[float | None, Option(help="Geoid above ellipsoid in metres (GPS altitudes).")] = None,
+    focal_35mm: Annotated[float | None, Option(min=1, help="Focal length in mm (35 mm) if unknown.")] = None,
+    time_zone: Annotated[str | None, Option(help="Time zone of EXIF dates without one, such as Europe/Oslo.")] = None,
+    refine: Annotated[bool, Option("--refine", help="Find poses by the terrain's skyline; needs --site.")] = False,
+    skip_bad: Annotated[bool, Option("--skip-bad", help="Skip photos that cannot be imported.")] = False,
 ) -> None:
     """Make a bag from photos and phone recordings: image_raw/compressed, camera_info, pose with covariance."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    from ltm_core.site.site_io import load_site
     from ltm_ros.recordings.importing.assumptions import Assumptions
     from ltm_ros.recordings.importing.assumptions import time_zone as zone_named
     from ltm_ros.recordings.importing.build import import_photos
     from ltm_ros.recordings.importing.refinement import PoseRefinement
 
-    zone = zone_named(time_zone) if time_zone is not None else None
     place = load_site(site) if site is not None else None
     search = None
     if refine:
         if place is None:
             raise ConfigError("--refine needs terrain: give the site that has the DEM, with --site")
         search = PoseRefinement(place)
-    console = Console()
-    columns = (TextColumn("Importing photos"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("import", total=None)
-        report = import_photos(
-            images,
-            out,
-            poses,
-            place,
-            camera,
-            Assumptions(
-                pitch_deg,
-                height_above_ground=height_above_ground,
-                geoid_undulation=geoid_undulation_m,
-                time_zone=zone,
-                keep_unknown=refine,
-                start_height=start_height,
-                focal_35mm=focal_35mm,
-            ),
-            skip_bad,
-            lambda done, total: bar.update(task, completed=done, total=total),
-            search,
-        )
-    by_note: dict[str, list[str]] = {}
-    for name, note in report.notes:
-        by_note.setdefault(note, []).append(name)
-    for note, names in by_note.items():
-        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        console.print(f"[yellow]{names[0]}{others}: {note}", highlight=False)
+    assumptions = Assumptions(
+        pitch_deg,
+        height_above_ground=height_above_ground,
+        geoid_undulation=geoid_undulation_m,
+        time_zone=None if time_zone is None else zone_named(time_zone),
+        keep_unknown=refine,
+        start_height=start_height,
+        focal_35mm=focal_35mm,
+    )
+    with progress_bar("importing photos") as progress:
+        report = import_photos(images, out, poses, place, camera, assumptions, skip_bad, progress, search)
+    for note, names in _grouped((note, name) for name, note in report.notes).items():
+        warn(f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {note}")
     if report.refined:
         rows = []
         for name, found in report.refined:
             turned = ", ".join(f"{angle:+.2f}" for angle in found.turned_deg)
             rows.append((name, found.verdict, turned if any(found.turned_deg) else "unchanged"))
-        print_table(console, "poses", ("photo", "verdict", "rotation in azimuth, pitch, roll, deg"), rows)
+        print_table("poses", ("photo", "verdict", "rotation in azimuth, pitch, roll, deg"), rows)
         verdicts = [found.verdict for _, found in report.refined]
         said = f"{verdicts.count('accepted')} of {len(verdicts)} poses found in the photos"
         if "as_others" in verdicts:
             said += f"; {verdicts.count('as_others')} corrected by the compass error on which these agree"
-        console.print(said, highlight=False)
+        say(said)
     if site is None:
-        console.print(f"frame: {report.crs}, origin {report.origin}; a site file for it needs a DEM in that CRS")
+        say(f"frame: {report.crs}, origin {report.origin}; a site file for it needs a DEM in that CRS")
     files = [
         ("imported", str(count), f"/{report.site}/{name}/{{image_raw/compressed, camera_info, pose}}")
         for name, count in report.cameras.items()
     ]
     files += [("[red]rejected", "1", escape(why)) for _, why in report.rejected]
-    by_reason: dict[str, list[str]] = {}
-    for skipped in report.skipped:
-        by_reason.setdefault(skipped.why, []).append(skipped.path.name)
-    for why, names in by_reason.items():
+    for why, names in _grouped((skipped.why, skipped.path.name) for skipped in report.skipped).items():
         others = ", ..." if len(names) > 3 else ""
         files.append(("[yellow]skipped", str(len(names)), escape(f"{why} ({', '.join(names[:3])}{others})")))
-    print_table(console, str(report.bag), ("result", ">files", "topics or reason"), files)
+    print_table(str(report.bag), ("result", ">files", "topics or reason"), files)
+
+
+def _grouped(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Return the second values by the first ones, in order."""
+    found: dict[str, list[str]] = {}
+    for key, value in pairs:
+        found.setdefault(key, []).append(value)
+    return found

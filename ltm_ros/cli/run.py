@@ -1,31 +1,24 @@
-"""`ltm check`, `ltm run`, `ltm region` and `ltm certs`: check and run a site, or the map of a region."""
+"""`ltm run`, `ltm region` and `ltm certs`: run a site, or the map of a region.
+
+Each function imports what it needs: `run` must stay small in memory, and the others need extras."""
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
-from ltm_core.base.errors import LtmError, SiteFinding, SiteVerdict
-from ltm_core.storage.disk_io import require_files
-from ltm_ros.cli.output import Overwrite, print_findings
+from ltm_ros.cli.output import Domain, OnlyCameras
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from rich.console import Console
-
-    from ltm_core.base.errors import SiteFinding
-    from ltm_core.base.types import RgbImage
-    from ltm_core.site.site_check import SiteCheck
     from ltm_ros.launching.graph import ParameterValue
 
 
-def region(config: Annotated[Path, typer.Argument(help="Region file (YAML).")]) -> None:
+def region(config: Annotated[Path, Argument(help="Region file (YAML).")]) -> None:
     """Run the fuel map of a region: merge its towers' votes (MQTT), write GeoTIFFs. Ctrl-C or SIGTERM ends it."""
     from ltm_ros.runtime.ros_environment import thread_limits
 
@@ -39,15 +32,13 @@ def region(config: Annotated[Path, typer.Argument(help="Region file (YAML).")]) 
 
 
 def certs(
-    folder: Annotated[Path, typer.Argument(help="Folder for the files, created if missing; existing files are kept.")],
-    region: Annotated[str, typer.Option(help="Name of the region.")],
-    tower: Annotated[list[str] | None, typer.Option(help="Name of a tower. Repeatable.")] = None,
-    host: Annotated[
-        list[str] | None, typer.Option(help="Host name or address of the broker. Default: this machine.")
-    ] = None,
-    listen: Annotated[str, typer.Option(help="Address on which the broker listens.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="TCP port of the broker.")] = 8883,
-    days: Annotated[int, typer.Option(min=1, max=3650, help="Validity of the certificates in days.")] = 365,
+    folder: Annotated[Path, Argument(help="Folder for the files, created if missing; existing files are kept.")],
+    region: Annotated[str, Option(help="Name of the region.")],
+    tower: Annotated[list[str] | None, Option(help="Name of a tower. Repeatable.")] = None,
+    host: Annotated[list[str] | None, Option(help="Host name or address of the broker. Default: this machine.")] = None,
+    listen: Annotated[str, Option(help="Address on which the broker listens.")] = "127.0.0.1",
+    port: Annotated[int, Option(min=1, max=65535, help="TCP port of the broker.")] = 8883,
+    days: Annotated[int, Option(min=1, max=3650, help="Validity of the certificates in days.")] = 365,
 ) -> None:
     """Make certificates for a region's broker, map and towers, and a mosquitto configuration.
 
@@ -64,23 +55,14 @@ def certs(
 
 
 def run(
-    site: Annotated[Path, typer.Argument(help="Site file (YAML).")],
-    domain: Annotated[
-        int | None, typer.Option(min=0, max=232, help="ROS domain. Default: ROS_DOMAIN_ID, else 0.")
-    ] = None,
-    record: Annotated[
-        Path | None,
-        typer.Option(help="Also record the graph's topics to this new folder; long recordings keep the newest files."),
-    ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Also serve a live view on this machine.")] = False,
-    sim_time: Annotated[bool, typer.Option("--sim-time", help="Use /clock, as published by `ltm replay`.")] = False,
-    only: Annotated[list[str] | None, typer.Option(help="Use only this camera. Repeatable.")] = None,
+    site: Annotated[Path, Argument(help="Site file (YAML).")],
+    domain: Domain = None,
+    record: Annotated[Path | None, Option(help="New folder to record to; the newest files are kept.")] = None,
+    view: Annotated[bool, Option("--view", help="Also serve a live view on this machine.")] = False,
+    sim_time: Annotated[bool, Option("--sim-time", help="Use /clock, as published by `ltm replay`.")] = False,
+    only: OnlyCameras = None,
     state: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder, created if missing, that keeps fuel map, terrain and outbox across restarts. Default: "
-            "the site file's, else nothing is kept."
-        ),
+        Path | None, Option(help="Folder that keeps fuel map, terrain and outbox. Default: the site file's, else none.")
     ] = None,
 ) -> None:
     """Run a site: start its nodes, restart those that die or hang; Ctrl-C or SIGTERM stops them in order.
@@ -96,15 +78,10 @@ def run(
 
     steady_allocation()
     manager = ServiceManager.of_environment(os.environ)
-    folders: dict[str, Path] = {}
-    kept: dict[str, ParameterValue] = {}
-    recorded: dict[str, ParameterValue] | None = None
-    if state is not None:
-        folders["state"] = state.expanduser().resolve()
-        kept["folder"] = str(folders["state"])
-    if record is not None:
-        folders["record"] = record.expanduser().resolve()
-        recorded = {"bag": str(folders["record"])}
+    named = {"state": state, "record": record}
+    folders = {purpose: folder.expanduser().resolve() for purpose, folder in named.items() if folder is not None}
+    recorded: dict[str, ParameterValue] | None = None if record is None else {"bag": str(folders["record"])}
+    kept: dict[str, ParameterValue] = {} if state is None else {"folder": str(folders["state"])}
     parameters = dict.fromkeys(("fuel_map", "terrain", "pose", "uplink"), kept) if kept else {}
     seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
     try:
@@ -146,128 +123,3 @@ def _address(viewer: Mapping[str, ParameterValue]) -> str:
 
     web, grpc = (int(str(viewer.get(*port))) for port in (("web_port", WEB_PORT), ("grpc_port", GRPC_PORT)))
     return web_url(web, grpc)
-
-
-_CELLS = 100_000
-"""Number of DEM cells at which the cameras' views are evaluated; takes 1 to 2 s per camera."""
-
-
-def check(
-    site: Annotated[Path, typer.Argument(help="Site file (YAML).")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="PNG to draw: terrain, views, covered ground, prior fuel map.")
-    ] = None,
-    bag: Annotated[
-        Path | None, typer.Option(help="Recording with the views of cameras whose poses are topics.")
-    ] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Check only this camera. Repeatable.")] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Check a site: CRS, terrain, cameras, prior, networks, parameters, folders. Exit code 1 if it has errors."""
-    from rich.console import Console
-
-    if out is not None:
-        require_files([out], overwrite)
-    raise typer.Exit(1 if report(Console(), site, out, bag, only or ()) else 0)
-
-
-def report(
-    console: Console, site: Path, out: Path | None = None, bag: Path | None = None, only: Sequence[str] = ()
-) -> int:
-    """Print the findings about a site, draw it to `out`, and return the number of errors."""
-    from ltm_ros.launching.site_check import Wanted, examine
-
-    with console.status("looking"):
-        found = examine(site, Wanted(only))
-        if bag is not None and found.site is not None and found.dem is not None:
-            _add_recorded(found, bag)
-    _print(console, found.findings)
-    if out is not None and found.dem is not None:
-        from ltm_core.pictures import to_png
-
-        with console.status("drawing"):
-            out.parent.mkdir(parents=True, exist_ok=True)
-            out.write_bytes(to_png(_picture(found)))
-        console.print(f"  {out}", highlight=False)
-    wrong = len(found.wrong)
-    doubtful = sum(finding.verdict is SiteVerdict.DOUBTFUL for finding in found.findings)
-    typer.echo(f"{wrong} errors, {doubtful} warnings" if wrong or doubtful else "no errors")
-    return wrong
-
-
-def _print(console: Console, findings: list[SiteFinding]) -> None:
-    styles = {SiteVerdict.OK: "green", SiteVerdict.DOUBTFUL: "yellow", SiteVerdict.WRONG: "bold red"}
-    order = list(dict.fromkeys(finding.area for finding in findings))
-    sorted_by_area = sorted(findings, key=lambda one: order.index(one.area))
-    rows = [(one.area, str(one.verdict), styles[one.verdict], one.name, one.said) for one in sorted_by_area]
-    print_findings(console, rows)
-
-
-def _add_recorded(found: SiteCheck, bag: Path) -> None:
-    """Add the recorded views of cameras that have no pose in the site file."""
-    from ltm_core.site.camera_check import check_views
-    from ltm_ros.recordings.recorded_run import recorded_views
-    from ltm_ros.recordings.replay.offline import Selection
-
-    assert found.site is not None  # nosec B101 # tells the type checker what holds
-    assert found.dem is not None  # nosec B101 # tells the type checker what holds
-    try:
-        Selection.open(bag, found.site)
-        views = recorded_views(bag, found.site)
-    except LtmError as error:
-        found.findings.append(SiteFinding.of("recording", bag.name, error))
-        return
-    there = {view.name for view in found.views}
-    added = [view for view in views if view.name not in there]
-    found.findings += check_views(added, found.dem)
-    found.views += added
-
-
-def _picture(found: SiteCheck) -> RgbImage:
-    from dataclasses import replace
-
-    from ltm_core.pictures.trace import map_camera, site_picture
-    from ltm_core.visibility.point_visibility import PointVisibility
-    from ltm_core.visibility.viewshed import viewshed
-
-    site, dem = found.site, found.dem
-    assert site is not None  # nosec B101 # tells the type checker what holds
-    assert dem is not None  # nosec B101 # tells the type checker what holds
-    geometry, farthest = dem.geometry, site.fuel.max_range
-    above = [view for view in found.views if not view.pose.position[2] <= dem.elevation_at(*view.pose.position[:2])]
-    seen = None
-    if above:
-        finest = math.sqrt(geometry.width * geometry.height / _CELLS) * geometry.resolution
-        try:
-            surface = site.open_surface(dem)
-        except LtmError:  # a finding
-            surface = dem
-        sight = PointVisibility(surface, site.curvature, site.refraction, site.possible_ground)
-        whole, near = (
-            viewshed(sight, above, max(geometry.resolution, finest), max_range=reach, ground=dem)
-            for reach in (math.inf, farthest)
-        )
-        seen = whole, near
-    names = [view.name for view in found.views]
-    named = {names.index(name) + (names.count(name) - 1) // 2 for name in names}  # of several views, the middle one
-    cameras = [
-        camera if k in named else replace(camera, name="") for k, camera in enumerate(map(map_camera, found.views))
-    ]
-    prior = found.prior
-    shown = prior and replace(prior, geometry=site.in_map(prior.geometry))
-    return site_picture(dem, cameras, seen, shown, site.origin, _heading(found))
-
-
-def _heading(found: SiteCheck) -> str:
-    assert found.site is not None  # nosec B101 # tells the type checker what holds
-    site, shown = found.site, {view.name for view in found.views}
-    absent = [name for name in site.cameras if name not in shown]
-    said = [f"Site {site.name}, {site.crs}."]
-    if shown:
-        said.append(
-            f"Pixels vote up to {site.fuel.max_range / 1000:g} km. Sectors are horizontal fields of view; their length "
-            "has no meaning."
-        )
-    if absent:
-        said.append(f"Pose from a topic: {', '.join(absent)}.")
-    return " ".join(said)

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.number_text import counted
-from ltm_ros.cli.output import print_findings, print_table
+from ltm_ros.cli.output import print_findings, print_table, say, warn
 
 if TYPE_CHECKING:
     from ltm_ros.tower.upgrade import Upgrade
@@ -25,8 +26,8 @@ STYLES = {"ok": "green", "warning": "yellow", "silent": "bold red", "missing": "
 
 
 def status(
-    site: Annotated[Path, typer.Argument(help="Site file (YAML), with the section `health`.")] = INSTALLED_SITE,
-    json_: Annotated[bool, typer.Option("--json", help="Print the status as JSON.")] = False,
+    site: Annotated[Path, Argument(help="Site file (YAML), with the section `health`.")] = INSTALLED_SITE,
+    json_: Annotated[bool, Option("--json", help="Print the status as JSON.")] = False,
 ) -> None:
     """Print the state of a running tower. Exit code 0 if all nodes are healthy and all cameras send, else 1."""
     from ltm_core.site.site_io import load_site
@@ -47,14 +48,12 @@ def _print_status(said: Mapping[str, Any]) -> None:
     """Print what `TowerStatus.as_dict` returns."""
     from datetime import UTC, datetime
 
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console()
     wrong = said["wrong"]
-    console.print(f"[bold]{escape(said['site'])}[/]: {counted(len(wrong), 'problem') if wrong else 'no problems'}")
+    say(f"{said['site']}: {counted(len(wrong), 'problem') if wrong else 'no problems'}", "bold")
     for line in wrong:
-        console.print(f"  - {escape(line)}", style="yellow", highlight=False)
+        warn(f"  - {line}")
     cameras = []
     for one in said["cameras"]:
         dropped = ", ".join(f"{cause} {count}" for cause, count in sorted(one["dropped"].items()))
@@ -73,43 +72,24 @@ def _print_status(said: Mapping[str, Any]) -> None:
         cameras.append(tuple(map(escape, cells)))
     nodes = []
     for one in said["nodes"]:
-        values = one["values"]
-        work = values.get("work_p95_ms")
-        nodes.append(
-            (
-                escape(one["name"]),
-                f"[{STYLES[one['state']]}]{one['state']}[/]",
-                escape(values.get("frames_in", "")),
-                escape(values.get("frames_out", "")),
-                escape(values.get("dropped", "")),
-                escape(f"{work} ms" if work else ""),
-                escape(one["said"][:80]),
-            )
-        )
+        work = one["values"].get("work_p95_ms")
+        counts = (one["values"].get(key, "") for key in ("frames_in", "frames_out", "dropped"))
+        cells = (*counts, f"{work} ms" if work else "", one["said"][:80])
+        nodes.append((escape(one["name"]), f"[{STYLES[one['state']]}]{one['state']}[/]", *map(escape, cells)))
     columns = (
         "camera", "state", "since (UTC)", ">newest", ">frames", ">finished", "dropped", ">latency", "pose", "reason"
     )  # fmt: skip
-    print_table(console, "", columns, cameras)
-    print_table(console, "", ("node", "state", ">in", ">out", ">dropped", ">work p95", "message"), nodes)
+    print_table("", columns, cameras)
+    print_table("", ("node", "state", ">in", ">out", ">dropped", ">work p95", "message"), nodes)
     if (outbox := said["outbox"]) is not None:
         link = "connected to the region's map" if outbox["link_up"] else "no connection to the region's map"
-        console.print(
-            escape(
-                f"outbox: {outbox['frames']} frames, {outbox['bytes'] / 1e6:.1f} MB, oldest {outbox['age_s']:.0f} "
-                f"s; {link}"
-            ),
-            highlight=False,
-        )
+        waiting = f"{outbox['frames']} frames, {outbox['bytes'] / 1e6:.1f} MB, oldest {outbox['age_s']:.0f} s"
+        say(f"outbox: {waiting}; {link}")
     kept = "; ".join(f"{d['folder']} {d['free'] / 1e9:.1f} of {d['total'] / 1e9:.0f} GB free" for d in said["disks"])
-    sync = {True: "synchronised", False: "not synchronised (no NTP)", None: "synchronisation unknown"}[
-        said["clock"]["synchronised"]
-    ]
-    console.print(escape(f"clock {sync}; {kept}"), highlight=False)
-    console.print(
-        escape(f"memory {said['memory_available'] / 1e9:.1f} of {said['memory_total'] / 1e9:.1f} GB available"),
-        highlight=False,
-    )
-    console.print(escape(", ".join(f"{name} {version}" for name, version in said["versions"].items())), highlight=False)
+    clock = {True: "synchronised", False: "not synchronised (no NTP)", None: "synchronisation unknown"}
+    say(f"clock {clock[said['clock']['synchronised']]}; {kept}")
+    say(f"memory {said['memory_available'] / 1e9:.1f} of {said['memory_total'] / 1e9:.1f} GB available")
+    say(", ".join(f"{name} {version}" for name, version in said["versions"].items()))
 
 
 def _seconds(value: float | None, end: str = "") -> str:
@@ -117,14 +97,10 @@ def _seconds(value: float | None, end: str = "") -> str:
 
 
 def doctor(
-    json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
-    site: Annotated[
-        Path | None, typer.Option(help="Site file, to check its port. Default: /etc/ltm/site.yaml, if present.")
-    ] = None,
+    json: Annotated[bool, Option("--json", help="Print the findings as JSON.")] = False,
+    site: Annotated[Path | None, Option(help="Site file, to check its port. Default: /etc/ltm/site.yaml.")] = None,
 ) -> None:
     """Check the installation. Exit code 1 if something required is missing."""
-    from rich.console import Console
-
     from ltm_ros.tower.doctor import as_json, examine, healthy, summed_up
     from ltm_ros.tower.health_client import DoctorState
 
@@ -139,7 +115,7 @@ def doctor(
         DoctorState.MISSING: "bold red",
     }
     rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in summed_up(findings)]
-    print_findings(Console(), rows)
+    print_findings(rows)
     # Printed below the table without line breaks, so that they can be copied.
     for finding in findings:
         if finding.remedy:
@@ -155,10 +131,9 @@ the tower should be down for three minutes at most, and going back to the previo
 
 
 def upgrade(
-    package: Annotated[Path, typer.Argument(help="Debian package of a release (`make deb`).")],
+    package: Annotated[Path, Argument(help="Debian package of a release (`make deb`).")],
     ready_minutes: Annotated[
-        float,
-        typer.Option(min=0.1, help="Minutes in which all nodes must be ready; else the previous release returns."),
+        float, Option(min=0.1, help="Minutes to start; else back to the previous.")
     ] = READY_MINUTES,
 ) -> None:
     """Install another release of LTM; if it does not start, the previous one returns. Needs root.
@@ -182,11 +157,9 @@ def upgrade(
 
 
 def rollback(
-    to: Annotated[str, typer.Option(help="Version to return to. Default: the previous one.")] = "",
-    unconfirmed: Annotated[
-        bool, typer.Option("--unconfirmed", help="Only if an upgrade was interrupted; the service's start uses it.")
-    ] = False,
-    ready_minutes: Annotated[float, typer.Option(min=0.1, help="Minutes in which it must be ready.")] = READY_MINUTES,
+    to: Annotated[str, Option(help="Version to return to. Default: the previous one.")] = "",
+    unconfirmed: Annotated[bool, Option("--unconfirmed", help="Only after an interrupted upgrade.")] = False,
+    ready_minutes: Annotated[float, Option(min=0.1, help="Minutes in which it must be ready.")] = READY_MINUTES,
 ) -> None:
     """Return to the previous release of LTM. Needs root."""
     change = _upgrade(ready_minutes)

@@ -4,56 +4,45 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import typer
+import numpy as np
+from typer import Option
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
+from ltm_core.pictures import to_png
+from ltm_core.pictures.trace import coverage_picture, depth_picture, map_picture, write_coverage
 from ltm_core.storage.disk_io import require_files
-from ltm_ros.cli.output import Overwrite, open_dems, print_doubts, print_table
-
-if TYPE_CHECKING:
-    from ltm_core.geometry.geodesy import SiteFrame
-    from ltm_core.raster.dem import Dem
-    from ltm_core.visibility.point_visibility import PointVisibility
-    from ltm_core.visibility.viewshed import PosedCamera
-
+from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
+from ltm_core.visibility.viewshed import PosedCamera
+from ltm_core.visibility.viewshed import viewshed as covered
+from ltm_ros.cli.output import Crs, Dems, OptionalDems, Overwrite, open_dems, print_table, say, warn, working
+from ltm_ros.cli.scene import open_scene
 
 OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.tif", "depth.png", "map.png")
 
 
 def trace(
-    dem: Annotated[
-        list[Path],
-        typer.Option(help="Elevation raster (GDAL, projected, in metres); repeat for coarser surrounding rasters."),
-    ],
-    pose: Annotated[Path, typer.Option(help="Pose file: pose and calibration (see docs/poses.md).")],
-    out: Annotated[Path, typer.Option(help="Folder for the results, created if missing.")],
-    image: Annotated[Path | None, typer.Option(help="The photo, to draw the depth over.")] = None,
-    crs: Annotated[str | None, typer.Option(help="CRS of a raster that states none, such as EPSG:32611.")] = None,
+    dem: Dems,
+    pose: Annotated[Path, Option(help="Pose file: pose and calibration (see docs/poses.md).")],
+    out: Annotated[Path, Option(help="Folder for the results, created if missing.")],
+    image: Annotated[Path | None, Option(help="The photo, to draw the depth over.")] = None,
+    crs: Crs = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Trace a photo to the terrain: depth and alignment rasters, depth over the photo, map of the seen cells."""
-    import numpy as np
-    from rich.console import Console
-
-    from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
-    from ltm_core.pictures import to_png
-    from ltm_core.pictures.trace import depth_picture, map_picture
-    from ltm_core.tracing import TerrainTracer
-    from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
-
-    console = Console()
     require_files((out / name for name in OUTPUTS), overwrite)
     config = load_picture_config(pose)
     setup = set_up_picture(config, open_dems(dem, crs))
     for doubt in setup.doubts:
-        console.print(f"[yellow]{doubt}", highlight=False)
+        warn(doubt)
     photo = None if image is None else read_photo(image, setup.camera)
-    with console.status("tracing"):
+    with working("tracing"):
         tracer = TerrainTracer(setup.dem, config.curvature, config.refraction, config.possible_ground)
         traced = tracer.trace(setup.camera, setup.pose)
-    with console.status("writing"):
+    with working("writing"):
         counts = cell_counts(traced)
         written = write_trace(out, traced, setup.frame, counts)
         title = f"seen in {image.name if image else pose.stem}"
@@ -82,74 +71,55 @@ def trace(
         rows.append(("range: minimum, median, maximum", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m"))
     seen = int((counts > 0).sum())
     rows.append(("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)"))
-    print_table(console, title, ("", ""), rows)
+    print_table(title, ("", ""), rows)
     unknown = unknown_share(ranges)
     if known.size and unknown.whole > MOST_UNKNOWN:
-        console.print(f"[yellow]{unknown.reason}.")
+        warn(f"{unknown.reason}.")
     if not known.size:
         x, y = setup.frame.x_origin + setup.pose.position[0], setup.frame.y_origin + setup.pose.position[1]
         covered = setup.dem.geometry.translated(setup.frame.x_origin, setup.frame.y_origin).bounds
-        console.print(
-            f"[yellow]No pixel sees the terrain. The camera is at ({x:.0f}, {y:.0f}) in {setup.frame.crs}; the "
+        warn(
+            f"No pixel sees the terrain. The camera is at ({x:.0f}, {y:.0f}) in {setup.frame.crs}; the "
             f"DEM covers x {covered[0]:.0f} to {covered[2]:.0f}, y {covered[1]:.0f} to {covered[3]:.0f}. Check "
             "position, its crs, azimuth and pitch."
         )
     for path in written:
-        console.print(f"  {path}", highlight=False)
+        say(f"  {path}")
 
 
 def viewshed(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="GeoTIFF: number of cameras per cell, best footprint, visible height.")
-    ],
-    site: Annotated[Path | None, typer.Option(help="Site file; uses all cameras with calibration and pose.")] = None,
-    pose: Annotated[Path | None, typer.Option(help="Pose file of one camera instead of a site; needs --dem.")] = None,
-    dem: Annotated[
-        list[Path] | None, typer.Option(help="Elevation raster for --pose; repeat for coarser surrounding rasters.")
-    ] = None,
-    resolution: Annotated[
-        float | None, typer.Option(help="Cell size in metres. Default: the DEM's, coarser beyond 16 million cells.")
-    ] = None,
-    target_height: Annotated[float, typer.Option(help="Height of the target above the ground in metres.")] = 0.0,
-    max_range: Annotated[float | None, typer.Option(help="Maximum viewing distance in metres.")] = None,
-    all_round: Annotated[
-        bool, typer.Option("--all-round", help="Cameras can turn: ignore their viewing directions.")
-    ] = False,
-    picture: Annotated[Path | None, typer.Option(help="PNG to draw. Default: beside the GeoTIFF.")] = None,
-    crs: Annotated[str | None, typer.Option(help="CRS of a raster that states none, such as EPSG:32611.")] = None,
+    out: Annotated[Path, Option("--out", "-o", help="GeoTIFF: number of cameras, best footprint, visible height.")],
+    site: Annotated[Path | None, Option(help="Site file; uses all cameras with calibration and pose.")] = None,
+    pose: Annotated[Path | None, Option(help="Pose file of one camera instead of a site; needs --dem.")] = None,
+    dem: OptionalDems = None,
+    resolution: Annotated[float | None, Option(help="Cell size in metres. Default: the DEM's, or coarser.")] = None,
+    target_height: Annotated[float, Option(help="Height of the target above the ground in metres.")] = 0.0,
+    max_range: Annotated[float | None, Option(help="Maximum viewing distance in metres.")] = None,
+    all_round: Annotated[bool, Option("--all-round", help="Cameras turn: ignore their viewing directions.")] = False,
+    picture: Annotated[Path | None, Option(help="PNG to draw. Default: beside the GeoTIFF.")] = None,
+    crs: Crs = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Map what cameras cover: number of cameras, pixel footprint, and height at which smoke becomes visible."""
-    import numpy as np
-    from rich.console import Console
-
-    from ltm_core.pictures import to_png
-    from ltm_core.pictures.trace import coverage_picture, write_coverage
-    from ltm_core.visibility.viewshed import viewshed as covered
-
-    console = Console()
     picture = out.with_suffix(".png") if picture is None else picture
     require_files((out, picture), overwrite)
     if (site is None) == (pose is None):
         raise ConfigError("give --site S.yaml, or --pose P.yaml with --dem")
-    if site is not None:
-        sight, frame, views, skipped, ground = _from_site(site)
-    elif pose is not None and dem:
-        sight, frame, views = _from_pose(pose, dem, crs)
-        skipped, ground = [], None
-    else:
-        raise ConfigError("--pose needs the terrain, too: give --dem D.tif")
-    if skipped:
-        console.print(f"[yellow]skipped, no calibration or pose[/]: {', '.join(skipped)}", highlight=False)
-    with console.status("lines of sight"):
+    scene = open_scene(site, [] if pose is None else [f"{pose.stem}={pose}"], dem, crs)
+    views = [camera.posed for camera in scene.cameras.values()]
+    if not views:
+        raise ConfigError(f"{site}: no camera has both calibration and pose ({', '.join(scene.skipped)}: from topics)")
+    if scene.skipped:
+        warn(f"skipped, no calibration or pose: {', '.join(scene.skipped)}")
+    with working("lines of sight"):
         reach = math.inf if max_range is None else max_range
-        coverage = covered(sight, views, resolution, target_height, reach, all_round, ground)
-    with console.status("writing"):
+        coverage = covered(scene.sight, views, resolution, target_height, reach, all_round, scene.ground)
+    with working("writing"):
         out.parent.mkdir(parents=True, exist_ok=True)
         picture.parent.mkdir(parents=True, exist_ok=True)
-        write_coverage(out, coverage, frame)
+        write_coverage(out, coverage, scene.frame)
         title = _title(views, target_height)
-        picture.write_bytes(to_png(coverage_picture(coverage, sight.dem, views, title, frame)))
+        picture.write_bytes(to_png(coverage_picture(coverage, scene.dem, views, title, scene.frame)))
 
     geometry = coverage.geometry
     rows = [
@@ -164,46 +134,11 @@ def viewshed(
         low, high = np.percentile(hidden, [50, 90])
         rows.append(("hidden ground: visible from", f"{low:.0f} m above it (median), {high:.0f} m (90 %)"))
     title = f"{geometry.width} x {geometry.height} cells of {geometry.resolution:g} m"
-    print_table(console, title, ("", ""), rows)
+    print_table(title, ("", ""), rows)
     for path in (out, picture):
-        console.print(f"  {path}", highlight=False)
+        say(f"  {path}")
 
 
 def _title(views: list[PosedCamera], target_height: float) -> str:
     what = "the ground" if target_height == 0 else f"a height of {target_height:g} m above the ground"
     return f"Number of cameras that see {what}" if len(views) > 1 else f"Where {views[0].name} sees {what}"
-
-
-def _from_site(path: Path) -> tuple[PointVisibility, SiteFrame, list[PosedCamera], list[str], Dem]:
-    from ltm_core.site.site_io import load_site
-    from ltm_core.visibility.point_visibility import PointVisibility
-    from ltm_core.visibility.viewshed import PosedCamera
-
-    site = load_site(path)
-    ground = site.open_dem()
-    surface = print_doubts(site.open_surface(ground))
-    views, skipped = [], []
-    for name, camera in site.cameras.items():
-        if camera.calibration is None or camera.pose is None:
-            skipped.append(name)
-        else:
-            views.append(PosedCamera(name, camera.calibration.camera(), camera.pose.pose(ground, site.frame)))
-    if not views:
-        raise ConfigError(f"{path}: no camera has both calibration and pose ({', '.join(skipped)}: from topics)")
-    rays = site.curvature, site.refraction, site.possible_ground
-    return PointVisibility(surface, *rays), site.frame, views, skipped, ground
-
-
-def _from_pose(path: Path, dem: list[Path], crs: str | None) -> tuple[PointVisibility, SiteFrame, list[PosedCamera]]:
-    from rich.console import Console
-
-    from ltm_core.tracing.trace_io import load_picture_config, set_up_picture
-    from ltm_core.visibility.point_visibility import PointVisibility
-    from ltm_core.visibility.viewshed import PosedCamera
-
-    config = load_picture_config(path)
-    setup = set_up_picture(config, open_dems(dem, crs))
-    for doubt in setup.doubts:
-        Console().print(f"[yellow]{doubt}", highlight=False)
-    sight = PointVisibility(setup.dem, config.curvature, config.refraction, config.possible_ground)
-    return sight, setup.frame, [PosedCamera(path.stem, setup.camera, setup.pose)]

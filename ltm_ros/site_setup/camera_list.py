@@ -83,16 +83,14 @@ def parse_camera(text: str) -> CameraValues:
     """Return a camera of `NAME=LON,LAT,key=value,...`. Raises ConfigError."""
     name, _, rest = text.partition("=")
     parts = [part.strip() for part in rest.split(",")]
-    given: dict[str, Any] = {"name": name.strip()}
-    for key, part in zip(("lon", "lat"), parts[:2], strict=False):
-        given[key] = part
-    for part in parts[2:]:
-        key, sign, value = part.partition("=")
-        if not sign or key.strip() in given:
-            raise ConfigError(f"--camera {text}: {part!r} is no key=value or repeats a key; write height=20")
-        given[key.strip()] = value.strip()
     if len(parts) < 2 or not name.strip():
         raise ConfigError(f"--camera {text}: give NAME=LON,LAT,height=20,azimuth=214,hfov=54")
+    given: dict[str, Any] = {"name": name.strip(), "lon": parts[0], "lat": parts[1]}
+    for part in parts[2:]:
+        key, sign, value = (word.strip() for word in part.partition("="))
+        if not sign or key in given:
+            raise ConfigError(f"--camera {text}: {part!r} is no key=value or repeats a key; write height=20")
+        given[key] = value
     return _with_size(checked(CameraValues, given, f"--camera {text}"))
 
 
@@ -153,13 +151,9 @@ def _features(text: str, path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 def _keys(names: Iterable[str]) -> dict[str, str]:
     """Return the key of each known name; the first one counts."""
-    found: dict[str, str] = {}
-    for key, spellings in _NAMES.items():
-        known = [name for name in names if name.strip().lower() in spellings.split("|")]
-        order = spellings.split("|")
-        for name in sorted(known, key=lambda name: order.index(name.strip().lower()))[:1]:
-            found[name] = key
-    return found
+    plain = {name.strip().lower(): name for name in reversed(list(names))}
+    known = {key: [plain[s] for s in spellings.split("|") if s in plain] for key, spellings in _NAMES.items()}
+    return {found[0]: key for key, found in known.items() if found}
 
 
 def _with_size(camera: CameraValues) -> CameraValues:

@@ -95,10 +95,9 @@ def write_dem(
 def _within(bounds: Bounds, tiles: Sequence[Tile], crs: str) -> Bounds:
     """Return the part of bounds in `crs` that the box around all tiles covers."""
     boxes = [Transformer.from_crs(tile.crs, crs, always_xy=True).transform_bounds(*tile.bounds) for tile in tiles]
-    west, south, east, north = zip(*boxes, strict=True)
-    return (
-        max(bounds[0], min(west)), max(bounds[1], min(south)), min(bounds[2], max(east)), min(bounds[3], max(north))
-    )  # fmt: skip
+    west, south, _, _ = np.maximum(bounds, np.min(boxes, axis=0)).tolist()
+    _, _, east, north = np.minimum(bounds, np.max(boxes, axis=0)).tolist()
+    return west, south, east, north
 
 
 def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Datum | None, ground: Dem) -> Layer:
@@ -108,11 +107,8 @@ def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Da
     size = site_resolution(tiles, max(bounds[2] - bounds[0], bounds[3] - bounds[1]), _MOST_PER_SIDE)
     grid = grid_over(bounds, size, tiles, crs)
     made = resample(tiles, grid, datum, elevation=False)
-    heights = made.heights
-    under = np.empty(grid.shape, np.float32)
-    cols = np.arange(grid.width)
-    for row in range(grid.height):
-        under[row] = ground.elevation_at(*grid.to_map(row, cols))
+    heights, cols = made.heights, np.arange(grid.width)
+    under = np.array([ground.elevation_at(*grid.to_map(row, cols)) for row in range(grid.height)], np.float32)
     above = data.above_ground or (all(tile.datum is None for tile in tiles) and _above_ground(heights, under, path))
     if above:
         heights = under + np.maximum(heights, 0)
@@ -144,13 +140,11 @@ def write_fuel(folder: Path, data: Fetched, grid: GridGeometry) -> Layer:
     bands: dict[str, NDArray[np.int16]] = {prior.system.value: prior.codes}
     if prior.fbfm13 is not None:
         bands["fbfm13"] = prior.fbfm13
-    for name, values in zip(CANOPY_BANDS, () if prior.canopy is None else prior.canopy, strict=False):
-        if (values != NODATA).any():
-            bands[name] = values
+    canopy = zip(CANOPY_BANDS, () if prior.canopy is None else prior.canopy, strict=False)
+    bands |= {name: values for name, values in canopy if (values != NODATA).any()}
+    about = {"RESAMPLING": "nearest"}
     for name, values in bands.items():
-        _write(
-            folder / f"{name}.tif", values, grid, NODATA, data, {"RESAMPLING": "nearest"}, None, _UNITS.get(name, "")
-        )
+        _write(folder / f"{name}.tif", values, grid, NODATA, data, about, None, _UNITS.get(name, ""))
     known = float((prior.codes != NODATA).mean())
     remarks = list(prior.remarks)
     if known < 0.995:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from pyproj import CRS, Transformer
+from scipy.ndimage import map_coordinates
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float32Array, Float64Array
@@ -280,28 +281,22 @@ class _Places:
 
     def at(self, rows: Any, cols: Any) -> Float64Array:
         """Return x, y and lift of cells, (3, N)."""
-        r, c = rows / self._steps[0], cols / self._steps[1]
-        r0 = np.minimum(r.astype(np.int64), self._nodes.shape[1] - 2)
-        c0 = np.minimum(c.astype(np.int64), self._nodes.shape[2] - 2)
-        r, c, nodes = r - r0, c - c0, self._nodes
-        north = (1 - c) * nodes[:, r0, c0] + c * nodes[:, r0, c0 + 1]
-        south = (1 - c) * nodes[:, r0 + 1, c0] + c * nodes[:, r0 + 1, c0 + 1]
-        return np.asarray((1 - r) * north + r * south)
+        where = np.stack([rows / self._steps[0], cols / self._steps[1]])
+        return np.stack([map_coordinates(nodes, where, order=1, mode="nearest") for nodes in self._nodes])
 
 
 def _bilinear(values: Float32Array, row: Float64Array, col: Float64Array, strict: bool) -> Float64Array:
     """Return values at fractional cells; NaN beside unknown ones, or if not `strict`, where these weigh most."""
-    height, width = values.shape
-    row, col = (np.where(np.abs(v - np.rint(v)) < 1e-4, np.rint(v), v) for v in (row, col))
-    r0, c0 = np.floor(row).astype(np.int64), np.floor(col).astype(np.int64)
-    total, known = np.zeros(row.shape), np.zeros(row.shape)
-    for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        r, c = r0 + down, c0 + right
-        weight = (row - r0 if down else r0 + 1 - row) * (col - c0 if right else c0 + 1 - col)
-        inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-        value = np.where(inside, values[np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)], np.nan)
-        weight = np.where(np.isfinite(value), weight, 0.0)
-        total += np.where(weight > 0, weight * value, 0.0)
-        known += weight
+    where = np.stack([np.where(np.abs(v - np.rint(v)) < 1e-4, np.rint(v), v) for v in (row, col)])
+    first = np.maximum(np.floor(where.min(axis=1, initial=np.inf)).astype(np.int64), 0)
+    last = np.maximum(np.ceil(where.max(axis=1, initial=-np.inf)).astype(np.int64) + 1, first + 1)
+    part = values[first[0] : last[0], first[1] : last[1]]  # the cells around these places
+    if not part.size:
+        return np.full(row.shape, np.nan)
+    finite = np.isfinite(part)
+    total, known = (
+        map_coordinates(cells, where - first[:, None], np.float64, order=1, mode="grid-constant")
+        for cells in (np.where(finite, part, 0.0), finite.astype(np.float64))
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(known > (1 - 1e-9 if strict else 0.5 - 1e-9), total / known, np.nan)

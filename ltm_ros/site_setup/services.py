@@ -8,11 +8,11 @@ import re
 import time
 import zipfile
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
+
+import rasterio
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import plain, redacted
@@ -31,7 +31,6 @@ from ltm_ros.site_setup.request import (
 )
 from ltm_ros.site_setup.source import Source, filled, list_in
 from ltm_ros.site_setup.web import check_room, digest, in_words, put_into
-from ltm_ros.site_setup.windows import write_band
 
 _JOB_S = 1800.0
 """Time limit of a job, seconds."""
@@ -207,19 +206,24 @@ class LandfireSource(WholeFileSource):
         before, best, most = self.web.bytes_read, None, 0.0
         check_room(folder, plan.expected_bytes)
         for part in plan.parts[:2]:
-            archive = self._archive(part, plan.area, progress)
-            with self._raster(archive, part) as source:
+            raster = self._raster(self._archive(part, plan.area, progress), part)
+            with open_raster(raster, driver="GTiff") as source:
                 known = 1.0 - float(read_band(source, 1)[1].mean())
             if known > most:
-                best, most = (part, archive), known
+                best, most = (part, raster), known
             if known > _ALMOST_ALL:
                 break
         if best is None:
             raise NoCoverageError(f"{self.name}: every cell of the area is unknown; choose another source")
-        part, archive = best
-        with self._raster(archive, part) as source:
-            files = list(self._bands(source, part.url.split(";"), folder))
-        return self._fetched(replace(plan, year=int(part.name[2:6])), files, [part], before)
+        part, raster = best
+        with rasterio.open(raster, "r+") as sink:
+            for band, layer in enumerate(part.url.split(";"), start=1):
+                if not sink.descriptions[band - 1]:
+                    sink.set_band_description(band, layer)
+            sink.update_tags(SOURCE=self.name, LICENCE=self.licence)
+        year = part.name[2:6]
+        file = put_into(folder, raster, f"LF{year}.tif")
+        return self._fetched(replace(plan, year=int(year)), [file], [part], before)
 
     def _fetched(self, plan: Plan, files: list[Path], used: list[Part], bytes_before: int) -> Fetched:
         named = [Part(f"{self.address}/job/submit?Layer_List={part.url}", part.name, 0) for part in used]
@@ -275,38 +279,28 @@ class LandfireSource(WholeFileSource):
             f"{self.name}: job {plain(job, 60)} is not finished after {_JOB_S:.0f} s; run the command again"
         )
 
-    @contextmanager
-    def _raster(self, archive: Path, part: Part) -> Iterator[Any]:
-        """Open the raster in an archive, which has a band for each layer. Raises FetchError."""
-        raster = self.web.cache / f"{digest(archive.name, 'raster')}.tif"
+    def _raster(self, archive: Path, part: Part) -> Path:
+        """Extract the raster of an archive into the cache; it has a band for each layer. Raises FetchError."""
+        raster = archive.with_suffix(".tif")
         try:
             with zipfile.ZipFile(archive) as box:
                 members = [m for m in box.infolist() if PurePosixPath(m.filename).suffix.lower() == ".tif"]
                 if len(members) != 1 or members[0].file_size > _MOST_EXPANDED:
                     raise FetchError(f"{self.name}: {len(members)} rasters in the archive, expected 1; try again later")
                 check_room(self.web.cache, members[0].file_size)
+                raster.unlink(missing_ok=True)  # it may be linked from a folder of results
                 raster.write_bytes(box.read(members[0]))
             with open_raster(raster, driver="GTiff") as source:
                 if source.count != part.url.count(";") + 1:
                     raise FetchError(f"{self.name}: {source.count} bands for {part.url}; try again later")
-                yield source
         except OSError as error:
+            raster.unlink(missing_ok=True)
             raise FetchError(f"{raster}: cannot be written ({error.strerror}); make room on the disk") from error
         except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, RasterError) as error:
             archive.unlink(missing_ok=True)
-            raise FetchError(f"{self.name}: the archive is damaged ({error}); run the command again") from error
-        finally:
             raster.unlink(missing_ok=True)
-
-    def _bands(self, source: Any, layers: list[str], folder: Path) -> Iterator[Path]:
-        tags = {"SOURCE": self.name, "LICENCE": self.licence}
-        folder.mkdir(parents=True, exist_ok=True)
-        for band, layer in enumerate(layers, start=1):
-            stated = source.descriptions[band - 1] or layer
-            path = folder / f"{re.sub(r'[^A-Za-z0-9_]', '_', stated)}.tif"
-            values, unknown = read_band(source, band)
-            write_band(path, values, unknown, source, None, source.nodatavals[band - 1], tags, band)
-            yield path
+            raise FetchError(f"{self.name}: the archive is damaged ({error}); run the command again") from error
+        return raster
 
 
 def _region(area: Area) -> str:

@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,17 +26,9 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import free_bytes, is_folder, is_there, require_folder
 from ltm_ros.site_setup.camera_list import CameraValues, check_cameras, section
-from ltm_ros.site_setup.layers import (
-    Layer,
-    elevation_tiles,
-    fine_tiles,
-    local,
-    write_dem,
-    write_fuel,
-    write_surface,
-)
+from ltm_ros.site_setup.layers import Layer, elevation_tiles, fine_tiles, local, write_dem, write_fuel, write_surface
 from ltm_ros.site_setup.rasters import Tile, tiles_of
-from ltm_ros.site_setup.request import Area, Fetched, Kind, NoCoverageError, Plan
+from ltm_ros.site_setup.request import Area, Kind, NoCoverageError, Plan
 from ltm_ros.site_setup.site_writer import change_site, free_name, site_text
 from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import choose
@@ -83,10 +76,6 @@ class Step:
     source: Source | None = None
     plan: Plan | None = None
 
-    @property
-    def expected_bytes(self) -> int:
-        return 0 if self.plan is None else self.plan.expected_bytes
-
 
 @dataclass
 class SitePlan:
@@ -102,7 +91,7 @@ class SitePlan:
 
     @property
     def expected_bytes(self) -> int:
-        return sum(step.expected_bytes for step in self.steps)
+        return sum(step.plan.expected_bytes for step in self.steps if step.plan is not None)
 
 
 def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
@@ -221,7 +210,7 @@ def _add_step(plan: SitePlan, key: str, bounds: Bounds, sources: Sequence[Source
     west, south, east, north = lonlat
     area = Area((west - _MARGIN_DEG, south - _MARGIN_DEG, east + _MARGIN_DEG, north + _MARGIN_DEG))
     try:
-        source = choose(KINDS[key], area, sources=sources)
+        source = choose(KINDS[key], area, sources)
         planned = source.plan(area)
     except NoCoverageError as error:
         if not optional:
@@ -239,11 +228,9 @@ def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tupl
     `progress`: gets the key of a raster, and the bytes fetched and expected. Raises ConfigError, RasterError,
     FetchError."""
     wish = plan.wish
-    needed = plan.expected_bytes * 3
-    if free_bytes(wish.out) < needed:
-        raise ConfigError(
-            f"{wish.out}: needs about {needed / 1e6:.0f} MB, {free_bytes(wish.out) / 1e6:.0f} MB are free"
-        )
+    needed, free = plan.expected_bytes * 3, free_bytes(wish.out)
+    if free < needed:
+        raise ConfigError(f"{wish.out}: needs about {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free; make room")
     with _temporary(wish.out) as folder:
         layers, datum = _layers(plan, folder, progress)
         cameras: dict[str, dict[str, Any]] = {}
@@ -254,14 +241,13 @@ def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tupl
         if plan.site is not None:
             moved = {}
             for key, layer in layers.items():
-                new = wish.out / free_name(wish.out, layer.path.name)
-                layer.path.rename(new)
-                moved[key] = replace(layer, path=new)
+                moved[key] = replace(layer, path=wish.out / free_name(wish.out, layer.path.name))
+                layer.path.rename(moved[key].path)
             try:
                 change_site(wish.site_file, moved, cameras)
             except ConfigError:
                 for layer in moved.values():
-                    shutil.rmtree(layer.path) if is_folder(layer.path) else layer.path.unlink()
+                    _remove(layer.path)
                 raise
             return moved, remarks
         text = site_text(wish.name, plan.crs, plan.origin, datum, layers, cameras)
@@ -269,9 +255,11 @@ def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tupl
         load_site(folder / "site.yaml")
         folder.chmod(0o755)
         folder.replace(wish.out)
-    return {
-        key: Layer(wish.out / la.path.name, la.described, la.grid, la.remarks) for key, la in layers.items()
-    }, remarks
+    return {key: replace(layer, path=wish.out / layer.path.name) for key, layer in layers.items()}, remarks
+
+
+def _remove(path: Path) -> None:
+    shutil.rmtree(path) if is_folder(path) else path.unlink()
 
 
 @contextmanager
@@ -287,7 +275,7 @@ def _temporary(out: Path) -> Iterator[Path]:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             for left in folder.iterdir():
-                shutil.rmtree(left) if is_folder(left) else left.unlink()
+                _remove(left)
             try:
                 yield folder
             finally:
@@ -308,7 +296,11 @@ def _layers(
     site = plan.site
     datum = None if site is None else tiles_of([site.dem.path])[0].datum
     for step in plan.steps:
-        data = _data(step, folder / "sources" / step.key, progress)
+        data = local(step.own)
+        if step.source is not None and step.plan is not None:
+            fetched = folder / "sources" / step.key
+            fetched.mkdir(parents=True)
+            data = step.source.fetch(step.plan, fetched, partial(progress, step.key))
         place = folder / _FILES[step.key]
         if step.key in ("dem", "coarser"):
             tiles = elevation_tiles(data)
@@ -321,7 +313,8 @@ def _layers(
             layers[step.key] = write_dem(place, data, tiles, step.bounds, plan.crs, datum, least)
         elif step.key == "surface":
             written = [layers[key].path for key in ("dem", "coarser") if key in layers]
-            dems = [(path, None) for path in written] or _dems_of(site)
+            stated = [] if site is None else [(dem.path, dem.crs) for dem in (site.dem, *site.coarser)]
+            dems: list[tuple[Path | str, str | None]] = [(path, None) for path in written] or [*stated]
             layers[step.key] = write_surface(place, data, step.bounds, plan.crs, datum, open_terrain(dems))
         else:
             size, phase = (30.0, 15.0) if site is None else (site.fuel.resolution, site.fuel.phase)
@@ -329,14 +322,3 @@ def _layers(
             layers[step.key] = write_fuel(place, data, grid)
     shutil.rmtree(folder / "sources", ignore_errors=True)
     return layers, datum
-
-
-def _dems_of(site: Site | None) -> list[tuple[Path | str, str | None]]:
-    return [] if site is None else [(dem.path, dem.crs) for dem in (site.dem, *site.coarser)]
-
-
-def _data(step: Step, folder: Path, progress: Callable[[str, int, int], None]) -> Fetched:
-    if step.source is None or step.plan is None:
-        return local(step.own)
-    folder.mkdir(parents=True)
-    return step.source.fetch(step.plan, folder, lambda done, total: progress(step.key, done, total))

@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ltm_core.base.redaction import plain, redacted
 from ltm_ros.site_setup.rasters import MOST_CELLS
 from ltm_ros.site_setup.request import (
@@ -58,32 +60,9 @@ class Source:
         self.resolution_m, self.vertical_crs, self.year = config.resolution_m, config.vertical_crs, config.year
         self.passed_over: tuple[str, ...] = ()
         """Preferred sources that were not used, each with its reason."""
-        self.next_source: Callable[[], Source] | None = None
-        """Chooses the next source, if this one was not asked for by its name."""
+        self.next_source: Callable[[str], Source] | None = None
+        """Chooses the next source, given the reason why this one has no data."""
         self._plans: dict[Area, Plan] = {}
-
-    def covers(self, area: Area) -> str:
-        """Return why the source cannot be used for an area; empty if it can. May query the service.
-
-        Raises FetchError if the service fails."""
-        width, height = area.size_m
-        west, south, east, north = area.bounds_lonlat
-        # The cells of web maps shrink towards the poles.
-        cell = self.resolution_m * (math.cos(math.radians((south + north) / 2)) if self.config.quadkey_zoom else 1.0)
-        cells, km2 = width * height / cell**2, width * height / 1e6
-        if not any(w <= west and s <= south and east <= e and north <= n for w, s, e, n in self.config.coverage):
-            return "the area is not within its coverage"
-        if cells > MOST_CELLS:
-            return f"{cells / 1e6:.0f} million cells of {cell:.3g} m, at most {MOST_CELLS / 1e6:.0f} million"
-        if km2 > self.config.most_km2:
-            return f"the area has {km2:.0f} km2, at most {self.config.most_km2:.0f} are delivered"
-        if self.config.key and not self.key:
-            return f"the environment variable {self.config.key} is not set (get a key: {self.config.key_from})"
-        try:
-            self.plan(area)
-        except NoCoverageError as error:
-            return str(error)
-        return ""
 
     @property
     def key(self) -> str:
@@ -91,8 +70,11 @@ class Source:
         return os.environ.get(self.config.key, "").strip() if self.config.key else ""
 
     def plan(self, area: Area) -> Plan:
-        """Return what would be fetched, with sizes. Raises NoCoverageError, FetchError."""
+        """Return what would be fetched, with sizes. May query the service.
+
+        Raises NoCoverageError if the source cannot be used for the area, FetchError if the service fails."""
         if area not in self._plans:
+            self._check(area)
             self._plans[area] = self._planned(area)
         plan = self._plans[area]
         notes = [*self.passed_over, *plan.notes]
@@ -101,6 +83,25 @@ class Source:
             notes.append(f"{self.name}: the fuel map shows {plan.year}, {age} years ago; fires since then are missing")
         return replace(plan, notes=tuple(notes))
 
+    def _check(self, area: Area) -> None:
+        """Raise NoCoverageError if the configuration excludes an area, or a key is missing."""
+        width, height = area.size_m
+        west, south, east, north = area.bounds_lonlat
+        # The cells of web maps shrink towards the poles.
+        cell = self.resolution_m * (math.cos(math.radians((south + north) / 2)) if self.config.quadkey_zoom else 1.0)
+        cells, km2 = width * height / cell**2, width * height / 1e6
+        reason = ""
+        if not any(w <= west and s <= south and east <= e and north <= n for w, s, e, n in self.config.coverage):
+            reason = "the area is not within its coverage"
+        elif cells > MOST_CELLS:
+            reason = f"{cells / 1e6:.0f} million cells of {cell:.3g} m, at most {MOST_CELLS / 1e6:.0f} million"
+        elif km2 > self.config.most_km2:
+            reason = f"the area has {km2:.0f} km2, at most {self.config.most_km2:.0f} are delivered"
+        elif self.config.key and not self.key:
+            reason = f"the environment variable {self.config.key} is not set (get a key: {self.config.key_from})"
+        if reason:
+            raise NoCoverageError(reason)
+
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         """Fetch a plan into `folder`; files appear there whole or not at all.
 
@@ -108,10 +109,10 @@ class Source:
         it). Raises NoCoverageError, FetchError."""
         try:
             return self._fetch(plan, folder, progress)
-        except NoCoverageError:
+        except NoCoverageError as error:
             if self.next_source is None:
                 raise
-            other = self.next_source()
+            other = self.next_source(str(error))
             return other.fetch(other.plan(plan.area), folder, progress)
 
     def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
@@ -309,10 +310,6 @@ def _file_name(url: str) -> str:
 def _share_covered(area: Area, boxes: list[Bounds], steps: int = 40) -> float:
     """Return the share of an area that lies in any of some boxes."""
     west, south, east, north = area.bounds_lonlat
-    inside = 0
-    for row in range(steps):
-        y = south + (row + 0.5) / steps * (north - south)
-        for column in range(steps):
-            x = west + (column + 0.5) / steps * (east - west)
-            inside += any(w <= x <= e and s <= y <= n for w, s, e, n in boxes)
-    return inside / steps**2
+    within = (np.arange(steps) + 0.5) / steps
+    x, y = np.meshgrid(west + within * (east - west), south + within * (north - south))
+    return float(np.logical_or.reduce([(w <= x) & (x <= e) & (s <= y) & (y <= n) for w, s, e, n in boxes]).mean())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from functools import partial
 from pathlib import Path
 
 from pydantic import Field
@@ -55,38 +54,27 @@ def load_sources(own: Path | None = None, web: Web | None = None) -> list[Source
     return [_ADAPTERS[entry.protocol](name, entry, client) for name, entry in config.sources.items()]
 
 
-def choose(kind: Kind, area: Area, wanted: str | None = None, sources: Sequence[Source] | None = None) -> Source:
+def choose(kind: Kind, area: Area, sources: Sequence[Source], passed_over: Sequence[str] = ()) -> Source:
     """Return the first source that delivers a kind of raster for an area; why others were not used is in its plans.
 
-    `wanted`: the name of the source to use. Raises ConfigError for an unknown name, NoCoverageError with the reason of
-    each source if none can be used, FetchError if the wanted one fails."""
-    candidates = [source for source in (load_sources() if sources is None else sources) if kind in source.kinds]
-    if wanted is not None:
-        named = [source for source in candidates if source.name == wanted]
-        if not named:
-            raise ConfigError(
-                f"{wanted}: no source of {kind}; known: {', '.join(s.name for s in candidates) or 'none'}"
-            )
-        reason = named[0].covers(area)
-        if reason:
-            raise NoCoverageError(f"{wanted} cannot be used: {reason}")
-        return named[0]
-    return _first(kind, area, candidates, [])
-
-
-def _first(kind: Kind, area: Area, candidates: Sequence[Source], reasons: list[str]) -> Source:
-    """Return the first source that covers an area; `reasons` why others were passed over before."""
-    for number, source in enumerate(candidates, start=1):
+    `passed_over`: why others were not used before. Raises NoCoverageError with the reason of each source if none can be
+    used."""
+    reasons, rest = list(passed_over), [source for source in sources if kind in source.kinds]
+    while rest:
+        source = rest.pop(0)
         try:
-            reason = source.covers(area)
+            source.plan(area)
         except FetchError as error:
-            reason = str(error)
-        if not reason:
-            chosen = copy(source)  # the same source may serve another kind, with other reasons
-            chosen.passed_over = tuple(reasons)
-            empty = [*reasons, f"{source.name} is not used: every cell of the area is unknown"]
-            chosen.next_source = partial(_first, kind, area, candidates[number:], empty)
-            return chosen
-        reasons = [*reasons, f"{source.name} is not used: {reason}"]
-    listed = "".join(f"\n  {reason}" for reason in reasons)
-    raise NoCoverageError(f"no source of {kind} for {area}; give your own file.{listed}")
+            reasons.append(f"{source.name} is not used: {error}")
+        else:
+            break
+    else:
+        listed = "".join(f"\n  {reason}" for reason in reasons)
+        raise NoCoverageError(f"no source of {kind} for {area}; give your own file.{listed}")
+
+    def following(reason: str) -> Source:
+        return choose(kind, area, rest, [*reasons, f"{source.name} is not used: {reason}"])
+
+    chosen = copy(source)  # the same source may serve another kind, with other reasons
+    chosen.passed_over, chosen.next_source = tuple(reasons), following
+    return chosen

@@ -111,9 +111,9 @@ class Web:
         except (ValueError, ImportError, httpx.InvalidURL) as error:
             raise FetchError(f"the proxy in HTTPS_PROXY or ALL_PROXY cannot be used ({error}); correct it") from error
 
-    def tried(self, place: str, attempt: Callable[[], T]) -> T:
+    def tried(self, url: str, attempt: Callable[[], T]) -> T:
         """Return what `attempt` returns; repeat it, with growing pauses, after an AgainError. Raises FetchError."""
-        backoff = Backoff(self._first_pause_s, LONGEST_WAIT_S)
+        place, backoff = _host(url), Backoff(self._first_pause_s, LONGEST_WAIT_S)
         for tries in count(1):
             try:
                 return attempt()
@@ -126,19 +126,25 @@ class Web:
 
     def get(self, url: str, params: Mapping[str, str] | None = None) -> bytes:
         """Return the body of an answer. Raises NoCoverageError (404, 204), FetchError."""
-        return self.tried(_host(url), lambda: self._body(url, params))
+
+        def attempt() -> bytes:
+            body = bytearray()
+            with self._answer(url, params) as response:
+                for chunk in self._chunks(response):
+                    body += chunk
+                    if len(body) > _ANSWER_BYTES:
+                        raise FetchError(f"{_host(url)}: more than {_ANSWER_BYTES} bytes; request a smaller area")
+            return bytes(body)
+
+        return self.tried(url, attempt)
 
     def json(self, url: str, params: Mapping[str, str] | None = None) -> Any:
-        """Return the value of a JSON answer; an invalid one is requested again. Raises as `get` does."""
-
-        def attempt() -> Any:
-            body = self._body(url, params)
-            try:
-                return json.loads(body)
-            except ValueError as error:
-                raise AgainError(f"the answer is not JSON ({in_words(body)})") from error
-
-        return self.tried(_host(url), attempt)
+        """Return the value of a JSON answer. Raises as `get` does."""
+        body = self.get(url, params)
+        try:
+            return json.loads(body)
+        except ValueError as error:
+            raise FetchError(f"{_host(url)}: the answer is not JSON ({in_words(body)}); try again later") from error
 
     def remote(self, url: str) -> Remote | None:
         """Return size and version of a file; None if it does not exist. Its first byte is read, as some servers do not
@@ -151,7 +157,7 @@ class Web:
                 return Remote(url, size, _version(response), total is not None)
 
         try:
-            return self.tried(_host(url), attempt)
+            return self.tried(url, attempt)
         except NoCoverageError:
             return None
 
@@ -170,7 +176,7 @@ class Web:
                     raise AgainError(f"delivered {len(body)} of {last + 1 - first} bytes")
                 return body
 
-        return self.tried(_host(remote.url), attempt)
+        return self.tried(remote.url, attempt)
 
     def download(
         self,
@@ -185,18 +191,41 @@ class Web:
         """Return the file of a URL in the cache, fetched whole. A download of a known `remote` continues where it
         stopped. Raises NoCoverageError, FetchError; a file with a wrong checksum is removed."""
         path = self.cache / digest(url, sorted((params or {}).items()), remote and remote.version, sha256)
-        if not path.exists():
-            partial = path.with_suffix(".part")
-            self.make_cache()
-            self.tried(_host(url), lambda: self._fill(partial, url, params, remote, most, progress))
-            with partial.open("rb") as file:
-                found = hashlib.file_digest(file, "sha256").hexdigest() if sha256 else ""
-            if found != sha256:
-                partial.unlink()
-                raise FetchError(
-                    f"{redacted(url)}: SHA-256 is {found}, expected {sha256}; check the address and the sum"
-                )
-            partial.replace(path)
+        if path.exists():
+            return path
+        partial = path.with_suffix(".part")
+        self.make_cache()
+
+        def attempt() -> None:
+            with only_writer(partial) as file:
+                have = file.tell()
+                if remote is None or not (remote.ranges and remote.version) or have > remote.size:
+                    have = 0
+                elif have == remote.size:
+                    return
+                headers = {"Range": f"bytes={have}-", "If-Range": remote.version} if have and remote else {}
+                with self._answer(url, params, headers) as response:
+                    have = have if response.status_code == 206 else 0
+                    file.truncate(have)
+                    total = have + int(response.headers.get("Content-Length") or 0)
+                    check_room(partial.parent, total - have)
+                    for chunk in self._chunks(response):
+                        file.write(chunk)
+                        have += len(chunk)
+                        if have > most:
+                            raise FetchError(f"{response.url.host}: more than {most} bytes; request a smaller area")
+                        progress(have, total)
+                    file.flush()
+                if remote is not None and have != remote.size:
+                    raise AgainError(f"delivered {have} of {remote.size} bytes")
+
+        self.tried(url, attempt)
+        with partial.open("rb") as file:
+            found = hashlib.file_digest(file, "sha256").hexdigest() if sha256 else ""
+        if found != sha256:
+            partial.unlink()
+            raise FetchError(f"{redacted(url)}: SHA-256 is {found}, expected {sha256}; check the address and the sum")
+        partial.replace(path)
         return path
 
     def make_cache(self) -> None:
@@ -207,47 +236,6 @@ class Web:
             raise FetchError(
                 f"{self.cache}: cannot be made ({error.strerror}); keep the cache elsewhere (XDG_CACHE_HOME)"
             ) from error
-
-    def _fill(
-        self,
-        partial: Path,
-        url: str,
-        params: Mapping[str, str] | None,
-        remote: Remote | None,
-        most: int,
-        progress: Progress,
-    ) -> None:
-        with only_writer(partial) as file:
-            have = file.tell()
-            if remote is None or not (remote.ranges and remote.version) or have > remote.size:
-                have = 0
-            elif have == remote.size:
-                return
-            headers = {"Range": f"bytes={have}-", "If-Range": remote.version} if have and remote else {}
-            with self._answer(url, params, headers) as response:
-                if response.status_code != 206:
-                    have = 0
-                file.truncate(have)
-                total = have + int(response.headers.get("Content-Length") or 0)
-                check_room(partial.parent, total - have)
-                for chunk in self._chunks(response):
-                    file.write(chunk)
-                    have += len(chunk)
-                    if have > most:
-                        raise FetchError(f"{response.url.host}: more than {most} bytes; request a smaller area")
-                    progress(have, total)
-                file.flush()
-            if remote is not None and file.tell() != remote.size:
-                raise AgainError(f"delivered {file.tell()} of {remote.size} bytes")
-
-    def _body(self, url: str, params: Mapping[str, str] | None) -> bytes:
-        body = bytearray()
-        with self._answer(url, params) as response:
-            for chunk in self._chunks(response):
-                body += chunk
-                if len(body) > _ANSWER_BYTES:
-                    raise FetchError(f"{_host(url)}: more than {_ANSWER_BYTES} bytes; request a smaller area")
-        return bytes(body)
 
     def _chunks(self, response: httpx.Response) -> Iterator[bytes]:
         for chunk in response.iter_bytes():
@@ -265,8 +253,11 @@ class Web:
             with self._client.stream("GET", whole, headers=headers) as response:
                 _check_status(response)
                 yield response
+        except httpx.TimeoutException as error:
+            raise AgainError("no answer in time") from error
         except httpx.HTTPError as error:
-            raise AgainError(_trouble(error)) from error
+            broke = "no connection" if isinstance(error, httpx.ConnectError) else "the connection broke"
+            raise AgainError(f"{broke} ({redacted(str(error))})") from error
 
 
 def _check_status(response: httpx.Response) -> None:
@@ -295,14 +286,6 @@ def in_words(body: bytes) -> str:
     """Return the text of an error page on one line."""
     text = re.sub(r"<[^>]*>", " ", body[:2000].decode("utf-8", "replace"))
     return redacted(plain(" ".join(text.split()), 300))
-
-
-def _trouble(error: httpx.HTTPError) -> str:
-    if isinstance(error, httpx.TimeoutException):
-        return "no answer in time"
-    if isinstance(error, httpx.ConnectError):
-        return f"no connection ({redacted(str(error))})"
-    return f"the connection broke ({redacted(str(error))})"
 
 
 def _host(url: str) -> str:

@@ -137,7 +137,7 @@ def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None
                 unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, bool)
                 if declared is not None and not np.isnan(declared):
                     unknown |= values == values.dtype.type(declared)
-                write_band(path, values, unknown, source, cells, declared, tags)
+                _write(path, values, unknown, source, cells, declared, tags)
         finally:  # what cannot be read now is not kept for the next run
             sparse.unlink()
             _journal(sparse).unlink(missing_ok=True)
@@ -249,7 +249,7 @@ def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, w
         pool.shutdown(wait=False, cancel_futures=True)  # requests in flight may take minutes
 
 
-def write_band(
+def _write(
     path: Path,
     values: NDArray[Any],
     unknown: NDArray[np.bool_],
@@ -257,9 +257,8 @@ def write_band(
     window: Any,
     nodata: float | None,
     tags: dict[str, str],
-    band: int = 1,
 ) -> None:
-    """Write one band of a raster, or a window of it, as a GeoTIFF that appears whole or not at all.
+    """Write a window of a raster's first band as a GeoTIFF that appears whole or not at all.
 
     Raises FetchError or ConfigError if the disk does not take it."""
     from rasterio.io import MemoryFile
@@ -271,16 +270,16 @@ def write_band(
     height, width = values.shape
     shape = {"width": width, "height": height, "count": 1, "dtype": values.dtype, "nodata": nodata}
     tiled = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "zlevel": 1}
-    place = {"crs": source.crs, "transform": source.window_transform(window) if window else source.transform}
+    place = {"crs": source.crs, "transform": source.window_transform(window)}
     with MemoryFile() as memory:  # GDAL keeps the errors of a full disk to itself
         with memory.open(driver="GTiff", BIGTIFF="IF_SAFER", **shape, **tiled, **place) as sink:
             sink.write(values, 1)
             sink.update_tags(**tags)
-            sink.scales, sink.offsets = [source.scales[band - 1]], [source.offsets[band - 1]]
-            if source.units[band - 1]:
-                sink.set_band_unit(1, source.units[band - 1])
-            if source.descriptions[band - 1]:
-                sink.set_band_description(1, source.descriptions[band - 1])
+            sink.scales, sink.offsets = source.scales[:1], source.offsets[:1]
+            if source.units[0]:
+                sink.set_band_unit(1, source.units[0])
+            if source.descriptions[0]:
+                sink.set_band_description(1, source.descriptions[0])
         check_room(path.parent, len(memory.getbuffer()))
         with written_whole(path) as partial:
             partial.write_bytes(memory.getbuffer())

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from ltm_lab.cli.bench.runs import print_conditions, print_table, write_json
-from ltm_ros.cli.output import JsonFile
+from ltm_lab.cli.options import JsonFile
 
 _PACKAGES = ("numpy", "numba", "onnxruntime", "pyarrow")
 

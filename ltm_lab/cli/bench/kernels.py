@@ -21,7 +21,7 @@ def kernels(
     console = Console()
     rows = compile_times(kind or KERNELS)
     listed = [(row.name.replace(".<locals>", ""), f"{row.own_s:.2f}", str(row.signatures)) for row in rows[:shown]]
-    print_table(console, "kernels", ("kernel", ">own s", ">signatures"), listed)
+    print_table("kernels", ("kernel", ">own s", ">signatures"), listed)
     foreign = sum(row.own_s for row in rows if not row.name.startswith("ltm_"))
     total = sum(row.own_s for row in rows)
     console.print(

@@ -5,19 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
-from ltm_ros.cli.output import JsonFile
+from ltm_lab.cli.options import JsonFile
 
 
 def assessment(
-    plan: Annotated[
-        Path | None, typer.Option(help="Folder of `ltm assess plan` for a rendered map; needs --truth.")
-    ] = None,
-    truth: Annotated[Path | None, typer.Option(help="GeoTIFF of the rendered map's true life forms.")] = None,
-    cells: Annotated[int, typer.Option(min=20, help="Sampled cells.")] = 300,
-    samples: Annotated[int, typer.Option(min=10, help="Number of samples.")] = 5000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of maps, interpreters and samples.")] = 1,
+    plan: Annotated[Path | None, Option(help="Folder of `ltm assess plan` for a rendered map; needs --truth.")] = None,
+    truth: Annotated[Path | None, Option(help="GeoTIFF of the rendered map's true life forms.")] = None,
+    cells: Annotated[int, Option(min=20, help="Sampled cells.")] = 300,
+    samples: Annotated[int, Option(min=10, help="Number of samples.")] = 5000,
+    seed: Annotated[int, Option(min=0, help="Seed of maps, interpreters and samples.")] = 1,
     json_path: JsonFile = None,
 ) -> None:
     """Draw samples of maps with known truth, with simulated interpreters, and count intervals that contain the truth.
@@ -26,8 +24,6 @@ def assessment(
     """
     from dataclasses import asdict
     from itertools import pairwise
-
-    from rich.console import Console
 
     from ltm_core.assessment.estimation import FEWEST_EVENTS
     from ltm_lab.evaluation.assessment_trial import coverage, drawn_population, rendered_population
@@ -47,13 +43,12 @@ def assessment(
             rendered_population("rendered map, interpreter right in 90 %", plan, truth, seed, 0.9),
         ]
     found = [row for population in populations for row in coverage(population, cells, samples, seed)]
-    console = Console()
     rows = [
         (r.population, r.figure, *(f"{100 * v:.1f} %" for v in (r.truth, r.covered, r.half_width)), f"{r.events:.1f}")
         for r in found
     ]
     columns = ("map", "figure", ">true value", ">intervals that contain it", ">half-width", ">events")
-    print_table(console, f"{samples} samples of {cells} cells, 95 % intervals", columns, rows)
+    print_table(f"{samples} samples of {cells} cells, 95 % intervals", columns, rows)
     bounds = (0.0, 3.0, FEWEST_EVENTS, float("inf"))
     bands = []
     for low, high in pairwise(bounds):
@@ -63,7 +58,7 @@ def assessment(
         events = f"{low:g} to {high:g}" if high < float("inf") else f"{low:g} or more"
         bands.append((events, f"{within} of {len(covered)}", *(f"{100 * v:.1f} %" for v in ends)))
     by_events = (">events", ">in 93 to 97 %", ">lowest", ">mean", ">highest")
-    print_table(console, "Figures by events", by_events, bands)
+    print_table("Figures by events", by_events, bands)
     if json_path is not None:
         write_figures(
             json_path, {"samples": samples, "cells": cells, "seed": seed, "coverage": [asdict(row) for row in found]}

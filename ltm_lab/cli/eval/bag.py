@@ -5,26 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from ltm_ros.cli.output import JsonFile, writable_folder
+from ltm_lab.cli.options import JsonFile, writable_folder
 
 
 def bag(
-    bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file of a run, such as out/demo/recording.")],
+    bag: Annotated[Path, Argument(help="Bag folder or .mcap file of a run, such as out/demo/recording.")],
     site: Annotated[
-        Path | None, typer.Option("--site", help="Site file; default: beside the bag, or a shipped one of its name.")
+        Path | None, Option("--site", help="Site file; default: beside the bag, or a shipped one of its name.")
     ] = None,
-    truth: Annotated[
-        Path | None, typer.Option("--truth", help="Folder of truth rasters; default: the site file's.")
-    ] = None,
-    date: Annotated[str | None, typer.Option("--date", help="Of a truth folder with several dates: the bag's.")] = None,
+    truth: Annotated[Path | None, Option("--truth", help="Folder of truth rasters; default: the site file's.")] = None,
+    date: Annotated[str | None, Option("--date", help="Of a truth folder with several dates: the bag's.")] = None,
     json_path: JsonFile = None,
     report: Annotated[
         Path | None,
-        typer.Option(
-            "--report", help="Also draw the figures to this folder, with a page of them.", callback=writable_folder
-        ),
+        Option("--report", help="Also draw the figures to this folder, with a page of them.", callback=writable_folder),
     ] = None,
 ) -> None:
     """Score BAG: depth by range for each source, labels, skyline, fuel cells, terrain and latency, in one table."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltm_lab.cli.options import JsonFile, writable_folder
 from ltm_lab.evaluation.depth.fused_depth import BEYOND
-from ltm_ros.cli.output import JsonFile, writable_folder
 
 if TYPE_CHECKING:
     from ltm_core.base.types import Float32Array

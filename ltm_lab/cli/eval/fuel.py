@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ltm_lab.cli.eval.trial_runner import Processes
-from ltm_ros.cli.output import JsonFile
+from ltm_lab.cli.options import JsonFile
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from ltm_core.vision.manifest import DEFAULT_DEPTH_MODEL, DEFAULT_MODEL
+from ltm_lab.cli.options import JsonFile, writable_folder
 from ltm_lab.evaluation.gallery.parts import Part
-from ltm_ros.cli.output import JsonFile, writable_folder
 
 
 def gallery(

@@ -11,7 +11,7 @@ import typer
 
 from ltm_core.vision.manifest import DEFAULT_MODEL
 from ltm_lab.cli.eval.trial_runner import Processes
-from ltm_ros.cli.output import JsonFile
+from ltm_lab.cli.options import JsonFile
 
 if TYPE_CHECKING:
     from rich.console import Console

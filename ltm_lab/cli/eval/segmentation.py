@@ -5,44 +5,38 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from ltm_ros.cli.output import JsonFile, writable_folder
+from ltm_lab.cli.options import JsonFile, writable_folder
 
 
 def segmentation(
     folder: Annotated[
         Path,
-        typer.Argument(
-            help="Folder of pictures NAME.png or .jpg with NAME_labels.png or polygons.json, or of such folders."
-        ),
+        Argument(help="Folder of pictures NAME.png or .jpg with NAME_labels.png or polygons.json, or of such folders."),
     ],
-    networks: Annotated[str, typer.Option(help="Label networks, separated by commas; default: the shipped one.")] = "",
+    networks: Annotated[str, Option(help="Label networks, separated by commas; default: the shipped one.")] = "",
     head: Annotated[
         list[str] | None,
-        typer.Option("--head", help="Score with this head too, a name or path; again for more. Default: none."),
+        Option("--head", help="Score with this head too, a name or path; again for more. Default: none."),
     ] = None,
     json_path: JsonFile = None,
-    threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
-    limit: Annotated[int | None, typer.Option(min=1, help="Maximum number of frames of a folder.")] = None,
+    threads: Annotated[int, Option(help="CPU threads.")] = 1,
+    limit: Annotated[int | None, Option(min=1, help="Maximum number of frames of a folder.")] = None,
     macro: Annotated[
-        str, typer.Option(help="Classes of the macro F1, with commas.", metavar="CLASSES")
+        str, Option(help="Classes of the macro F1, with commas.", metavar="CLASSES")
     ] = "sky,grass,shrub,tree,bare",
-    ignore: Annotated[
-        str, typer.Option(help="True classes that are not counted, with commas.", metavar="CLASSES")
-    ] = "",
+    ignore: Annotated[str, Option(help="True classes that are not counted, with commas.", metavar="CLASSES")] = "",
     confidence: Annotated[
         float | None,
-        typer.Option(min=0, max=0.99, help="Withdraw labels of lower probability. Default: the network's."),
+        Option(min=0, max=0.99, help="Withdraw labels of lower probability. Default: the network's."),
     ] = None,
     tree_contrast: Annotated[
-        float | None, typer.Option(min=0, help="Withdraw tree of lower contrast, 8-bit steps, among more shrub.")
+        float | None, Option(min=0, help="Withdraw tree of lower contrast, 8-bit steps, among more shrub.")
     ] = None,
     overlays: Annotated[
         Path | None,
-        typer.Option(
-            help="Draw each frame's answer beside its truth, PNG, into this folder.", callback=writable_folder
-        ),
+        Option(help="Draw each frame's answer beside its truth, PNG, into this folder.", callback=writable_folder),
     ] = None,
 ) -> None:
     """Score networks on frames with true labels: F1 by class, confusion, sky, skyline, calibration, time.

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import JsonFile
+from ltm_lab.cli.options import JsonFile
 
 
 def sim2real(

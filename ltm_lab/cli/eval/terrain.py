@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from ltm_lab.cli.bench.runs import print_table
-from ltm_ros.cli.output import JsonFile, writable_folder
+from ltm_lab.cli.options import JsonFile, writable_folder
 
 if TYPE_CHECKING:
     from ltm_core.base.types import BoolArray
@@ -24,21 +24,19 @@ _POSE_ERROR_AND_OCCLUSION = ((0.0, 0.0), (0.5, 0.0), (2.0, 0.0), (0.0, 0.4))
 
 
 def terrain(
-    scenes: Annotated[str, typer.Option(help="Scenes. Default: all.")] = "",
-    seeds: Annotated[str, typer.Option(help="Seeds of ground, plants, poses and noise.")] = HELD_OUT,
-    canyon: Annotated[Path | None, typer.Option(help="Score this folder of the real site rm22 instead.")] = None,
-    frames: Annotated[Path | None, typer.Option(help="Score this folder of `ltm-lab simulate` instead.")] = None,
+    scenes: Annotated[str, Option(help="Scenes. Default: all.")] = "",
+    seeds: Annotated[str, Option(help="Seeds of ground, plants, poses and noise.")] = HELD_OUT,
+    canyon: Annotated[Path | None, Option(help="Score this folder of the real site rm22 instead.")] = None,
+    frames: Annotated[Path | None, Option(help="Score this folder of `ltm-lab simulate` instead.")] = None,
     network: Annotated[
-        list[str] | None, typer.Option(help="With --canyon, --frames: also use this depth network; repeatable.")
+        list[str] | None, Option(help="With --canyon, --frames: also use this depth network; repeatable.")
     ] = None,
-    date: Annotated[str, typer.Option(help="With --frames: date of the truth. Default: the last.")] = "",
-    looks: Annotated[int, typer.Option(help="With --frames: how often each photo is added.", min=1)] = 1,
+    date: Annotated[str, Option(help="With --frames: date of the truth. Default: the last.")] = "",
+    looks: Annotated[int, Option(help="With --frames: how often each photo is added.", min=1)] = 1,
     watched: Annotated[
-        int, typer.Option(help="With --frames: how often the first date's photos are added before.", min=0)
+        int, Option(help="With --frames: how often the first date's photos are added before.", min=0)
     ] = 0,
-    pictures: Annotated[
-        Path | None, typer.Option(help="Folder for an image of each run.", callback=writable_folder)
-    ] = None,
+    pictures: Annotated[Path | None, Option(help="Folder for an image of each run.", callback=writable_folder)] = None,
     json_path: JsonFile = None,
 ) -> None:
     """Compare detected change and updated surface with the truth, for two towers 500 m from a scene.

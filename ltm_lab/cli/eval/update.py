@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ltm_ros.cli.output import JsonFile, writable_folder
+from ltm_lab.cli.options import JsonFile, writable_folder
 
 
 def update(

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.core import TyperGroup
 
+from ltm_lab.cli.options import writable_folder
 from ltm_lab.cli.train.appearance import appearance
 from ltm_lab.cli.train.fusion import fusion
 from ltm_lab.cli.train.photos import photos
-from ltm_ros.cli.output import writable_folder
 
 if TYPE_CHECKING:
     from ltm_lab.training.config import TrainingConfig

@@ -5,22 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from ltm_core.vision.manifest import DEFAULT_MODEL
-from ltm_ros.cli.output import writable_folder
+from ltm_lab.cli.options import writable_folder
 
 
 def appearance(
-    frames: Annotated[
-        list[Path], typer.Argument(help="Folders of `ltm-lab simulate`: two sites or more, of one date.")
-    ],
-    model: Annotated[str, typer.Option(help="The network: name or manifest.")] = DEFAULT_MODEL,
+    frames: Annotated[list[Path], Argument(help="Folders of `ltm-lab simulate`: two sites or more, of one date.")],
+    model: Annotated[str, Option(help="The network: name or manifest.")] = DEFAULT_MODEL,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder of models. Default: config/models.", callback=writable_folder),
+        Option("--out", "-o", help="Folder of models. Default: config/models.", callback=writable_folder),
     ] = None,
-    threads: Annotated[int, typer.Option(help="CPU threads of the network.")] = 1,
+    threads: Annotated[int, Option(help="CPU threads of the network.")] = 1,
 ) -> None:
     """Learn from FRAMES what cells of known life form look like to a network, and how much its errors hang together."""
     from rich.console import Console

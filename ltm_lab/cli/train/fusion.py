@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ltm_core.vision.manifest import DEFAULT_DEPTH_MODEL, DEFAULT_MODEL
-from ltm_ros.cli.output import writable_file
+from ltm_lab.cli.options import writable_file
 
 
 def fusion(

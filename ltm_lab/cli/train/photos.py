@@ -9,7 +9,7 @@ import typer
 
 from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.storage.image_io import read_rgb
-from ltm_ros.cli.output import writable_folder
+from ltm_lab.cli.options import writable_folder
 
 if TYPE_CHECKING:
     from ltm_core.vision.segmenter import Segmenter

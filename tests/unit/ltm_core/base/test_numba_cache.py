@@ -8,7 +8,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from ltm_core.base.numba_cache import CPU_LEVELS, levels_of, precompiled_name, use_own_cache
+from ltm_core.base.numba_cache import CPU_LEVELS, _copy, levels_of, precompiled_name, use_own_cache
 
 CALLED = "import numba\n\n@numba.njit(cache=True)\ndef called(x):\n    return x + {term}\n"
 CALLER = (
@@ -165,6 +165,14 @@ def test_a_release_runs_its_kernels_where_it_is_installed(release: Path) -> None
 def test_kernels_of_a_release_whose_source_was_changed_are_not_loaded(release: Path) -> None:
     (release / "kernels/origin.py").write_text(ORIGIN.format(offset=0.25))
     assert hits(release) == "2.25 0 "
+
+
+def test_a_copy_of_a_releases_kernels_is_ours_alone(tmp_path: Path) -> None:
+    (tmp_path / "release/module").mkdir(parents=True, mode=0o755)
+    (tmp_path / "release/module/kernel.nbc").write_bytes(b"code")
+    _copy(tmp_path / "release", tmp_path / "ours")
+    assert (tmp_path / "ours").stat().st_mode & 0o777 == 0o700
+    assert (tmp_path / "ours/module/kernel.nbc").read_bytes() == b"code"
 
 
 def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: Path) -> None:

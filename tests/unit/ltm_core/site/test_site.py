@@ -134,8 +134,3 @@ def test_pictures_of_videos_may_be_published_as_they_are_decoded(tmp_path: Path)
     assert load(tmp_path, cameras={"north": known | {"source": stream}}).camera("north").image == "raw"
     with pytest.raises(ConfigError, match="publishes the camera's JPEGs"):
         load(tmp_path, cameras={"north": known | {"source": snapshot}})
-
-
-def test_no_site_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"absent\.yaml: cannot be read"):
-        load_site(tmp_path / "absent.yaml")

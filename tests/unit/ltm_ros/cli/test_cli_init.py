@@ -93,18 +93,6 @@ def test_sources_are_listed(services: SiteServices) -> None:
     assert services.requests == []
 
 
-def test_an_existing_site_gets_a_camera_and_a_newer_fuel_map(services: SiteServices, tmp_path: Path) -> None:
-    assert init(services, tmp_path, *NEW, *NORTH).exit_code == 0
-    services.fuel_years = {2025: 1.0}
-    south = f"south={LON},{LAT - 0.004},height=9,azimuth=3,hfov=60"
-    result = init(services, tmp_path, "--update", "fuel", "--camera", south)
-    assert result.exit_code == 0, result.output
-    site = load_site(tmp_path / "getty/site.yaml")
-    assert set(site.cameras) == {"north", "south"}
-    assert site.fuel.prior is not None
-    assert site.fuel.prior.path == tmp_path / "getty/fuel_2"
-
-
 def test_cameras_of_a_list_outside_the_radius_are_left_out(services: SiteServices, tmp_path: Path) -> None:
     rows = f"name,lon,lat,azimuth,hfov\nnear,{LON},{LAT},10,50\nfar,{LON - 1},{LAT},,\n"
     (tmp_path / "cameras.csv").write_text(rows)
@@ -132,16 +120,6 @@ def test_wrong_options_are_errors(
 ) -> None:
     with pytest.raises(LtmError, match=told):
         init(services, tmp_path, *arguments)
-    assert not (tmp_path / "getty").exists()
-
-
-def test_a_service_that_fails_while_fetching_leaves_nothing(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ltm_ros.site_setup.web.time.sleep", lambda seconds: None)
-    services.statuses["lfps/job/submit"] = [503] * 1000
-    with pytest.raises(LtmError, match="503"):
-        init(services, tmp_path, *NEW)
     assert not (tmp_path / "getty").exists()
 
 

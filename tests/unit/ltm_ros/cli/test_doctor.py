@@ -96,14 +96,6 @@ def test_small_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "--shm-size" in room.remedy
 
 
-def test_numba_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
-    assert doctor.numba_cache() == tmp_path / "kernels"
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "kernels"))
-    assert doctor.numba_cache() is None
-
-
 def test_damaged_model_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     from ltm_core.base.errors import ModelError
     from ltm_core.vision import onnx_model

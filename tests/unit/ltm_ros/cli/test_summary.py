@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from rich.console import Console
+import pytest
 
 from ltm_ros.cli.output import outcome, print_nodes
 from ltm_ros.runtime.health import Health, node_rows
@@ -24,11 +24,12 @@ def test_verdicts_and_cells_are_counted() -> None:
     ]
 
 
-def test_reasons_keep_their_brackets() -> None:
-    health, console = Health(), Console(width=120)
+def test_reasons_keep_their_brackets(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    health = Health()
     health.drop("pose", "pose is in frame [odom], expected [map]")
     health.drop("pose", "camera 4 m under the ground")
-    with console.capture() as said:
-        print_nodes(console, node_rows({"/a/north/capture": health.summary()}))
-    assert "dropped by pose: pose is in frame [odom], expected [map]" in said.get()
-    assert "4 m" not in said.get(), "one reason a cause will do, the first"
+    print_nodes(node_rows({"/a/north/capture": health.summary()}))
+    said = capsys.readouterr().out
+    assert "dropped by pose: pose is in frame [odom], expected [map]" in said
+    assert "4 m" not in said, "one reason a cause will do, the first"

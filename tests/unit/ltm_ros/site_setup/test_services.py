@@ -42,9 +42,13 @@ def sources(services: SiteServices, folder: Path, timeout_s: float = 5.0, **furt
     return load_sources(services.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, timeout_s))
 
 
+def only(name: str, listed: list[Source]) -> list[Source]:
+    return [source for source in listed if source.name == name]
+
+
 def fetched_codes(paths: tuple[Path, ...]) -> None:
     """Check that the codes lie where the service has them."""
-    values, about = opened(next(path for path in paths if "FBFM40" in path.name))
+    values, about = opened(paths[0])
     west, south, east, north = about.bounds
     assert [bound % 30 for bound in (west, south, east, north)] == [15.0] * 4
     x, y = grid(west, north, 30.0, about.width, about.height)
@@ -55,7 +59,7 @@ def test_open_topography_delivers_heights_with_the_datum_of_the_record(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OPENTOPOGRAPHY_API_KEY", KEY)
-    source = choose(Kind.COARSE_ELEVATION, HERE, "opentopography_cop30", sources(services, tmp_path))
+    source = choose(Kind.COARSE_ELEVATION, HERE, only("opentopography_cop30", sources(services, tmp_path)))
     fetched = source.fetch(source.plan(HERE), tmp_path / "out")
     values, about = opened(fetched.files[0])
     np.testing.assert_allclose(values, services.heights(*grid(*about.transform @ (0, 0), 1 / 3600, *about.shape[::-1])))
@@ -71,14 +75,13 @@ def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
-    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
     fetched = source.fetch(source.plan(HERE), tmp_path / "out")
     assert (source.name, fetched.year) == ("landfire", 2024)
     fetched_codes(fetched.files)
-    quantities = [open_bands(path)[0].quantity for path in fetched.files]
-    assert quantities == ["fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density"]
-    outside = [path for path in tmp_path.rglob("j*.tif") if path.parent != tmp_path / "out"]
-    assert not outside
+    (path,) = fetched.files
+    quantities = {band.quantity for band in open_bands(path)}
+    assert quantities == {"fbfm40", "fbfm13", "cover", "height", "base_height", "bulk_density"}
 
 
 @pytest.mark.parametrize(
@@ -90,7 +93,7 @@ def test_the_newest_edition_that_is_complete_for_the_area_is_used(
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
     services.fuel_years = known
-    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
     assert source.fetch(source.plan(HERE), tmp_path / "out").year == year
 
 
@@ -99,7 +102,7 @@ def test_an_interrupted_job_is_continued_and_not_submitted_again(
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
     services.job_states = ["Pending"]
-    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
     with monkeypatch.context() as soon:
         soon.setattr("ltm_ros.site_setup.services._JOB_S", 0.1)
         with pytest.raises(FetchError, match="not finished"):
@@ -110,7 +113,7 @@ def test_an_interrupted_job_is_continued_and_not_submitted_again(
 
 
 def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteServices, tmp_path: Path) -> None:
-    source = choose(Kind.FUEL, HERE, sources=sources(services, tmp_path))
+    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
     plan = source.plan(HERE)
     fetched = source.fetch(plan, tmp_path / "out")
     assert source.name == "landfire_wcs"
@@ -127,7 +130,7 @@ def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, 
     listed = sources(services, tmp_path, mine=mine, copernicus_glo30={"year": 2021})
     assert listed[0].name == "mine"
     assert next(s for s in listed if s.name == "copernicus_glo30").year == 2021
-    source = choose(Kind.ELEVATION, HERE, sources=listed)
+    source = choose(Kind.ELEVATION, HERE, listed)
     fetched = source.fetch(source.plan(HERE), tmp_path / "out")
     assert (fetched.source, fetched.licence, fetched.vertical_crs) == ("mine", "mine", None)
     with rasterio.open(fetched.files[0]) as raster:
@@ -230,7 +233,7 @@ def test_a_situation_is_a_clear_error_and_leaves_no_file(
 
 
 def fetch_from(kind: Kind, name: str, listed: list[Source], folder: Path) -> None:
-    source = choose(kind, HERE, name, listed)
+    source = choose(kind, HERE, only(name, listed))
     source.fetch(source.plan(HERE), folder)
 
 
@@ -246,20 +249,9 @@ def test_an_area_without_a_source_names_the_reason_of_each(
     area: Area, names: str, services: SiteServices, tmp_path: Path
 ) -> None:
     with pytest.raises(NoCoverageError, match=names) as error:
-        choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
+        choose(Kind.ELEVATION, area, sources(services, tmp_path))
     elevation = [source for source in load_sources() if Kind.ELEVATION in source.kinds]
     assert all(source.name in str(error.value) for source in elevation)
-
-
-def test_too_large_an_area_gives_the_message_of_the_service(
-    services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    keyed(monkeypatch)
-    area = Area((-119.0, 30.0, -114.0, 35.0))
-    listed = sources(services, tmp_path, opentopography_cop30={"resolution_m": 90.0})
-    source = choose(Kind.COARSE_ELEVATION, area, "opentopography_cop30", listed)
-    with pytest.raises(FetchError, match="450,000 km2"):
-        source.fetch(source.plan(area), tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -288,13 +280,13 @@ def test_place_decides_the_source(
         corner = f"{north_south}{abs(south):02d}_00_{east_west}{abs(west):03d}".upper()
         services.files[f"/cog/GLO30_{corner}.tif"] = tile
     listed = sources(services, tmp_path)
-    assert choose(Kind.ELEVATION, area, sources=listed).name == elevation
+    assert choose(Kind.ELEVATION, area, listed).name == elevation
     if fuel:
-        source = choose(Kind.FUEL, area, sources=listed)
+        source = choose(Kind.FUEL, area, listed)
         assert {source.name: source.plan(area).year} == fuel
     else:
         with pytest.raises(NoCoverageError):
-            choose(Kind.FUEL, area, sources=listed)
+            choose(Kind.FUEL, area, listed)
 
 
 def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
@@ -304,14 +296,14 @@ def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
         np.ones((360, 360), np.float32), "EPSG:4269", -119, 35.0, 1 / 360
     )
     services.statuses["/tnm/"] = [502] * 99
-    source = choose(Kind.ELEVATION, HERE, sources=sources(services, tmp_path))
+    source = choose(Kind.ELEVATION, HERE, sources(services, tmp_path))
     assert source.name == "usgs_3dep_10m"
     assert "502" in source.plan(HERE).notes[0]
 
 
 def test_an_old_fuel_map_is_noted_with_its_year(services: SiteServices, tmp_path: Path) -> None:
     services.fuel_years = {2016: 1.0}
-    source = choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016}))
+    source = choose(Kind.FUEL, HERE, only("landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016})))
     assert "2016" in source.plan(HERE).notes[0]
 
 
@@ -333,7 +325,7 @@ def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: p
 @pytest.mark.parametrize("address", ["http://[bad/x", "http://127.0.0.1:999999/x", "http://xn--\u2603.invalid/x"])
 def test_an_address_that_is_none_is_a_clear_error(address: str, services: SiteServices, tmp_path: Path) -> None:
     with pytest.raises(LtmError):
-        choose(Kind.FUEL, HERE, "landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address}))
+        choose(Kind.FUEL, HERE, only("landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address})))
 
 
 @pytest.mark.parametrize(
@@ -364,9 +356,6 @@ def test_the_page_lists_the_sources() -> None:
 
 
 def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
-    listed = sources(services, tmp_path)
-    with pytest.raises(ConfigError, match="usgs_3dep_1m"):
-        choose(Kind.ELEVATION, HERE, "usgs", listed)
     with pytest.raises(ConfigError, match="adress"):
         sources(services, tmp_path, copernicus_glo30={"adress": "x"})
     (tmp_path / "bad.yaml").write_text("usgs_3dep_1m: {year: 2020}\n")
@@ -391,7 +380,7 @@ def test_a_file_with_a_wrong_checksum_is_not_kept(services: SiteServices, tmp_pa
     services.files["/cog/mine.tif"] = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
     mine = {"kinds": ["elevation"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
             "resolution_m": 400, "sha256": "0" * 64}  # fmt: skip
-    source = choose(Kind.ELEVATION, HERE, sources=sources(services, tmp_path, mine=mine))
+    source = choose(Kind.ELEVATION, HERE, sources(services, tmp_path, mine=mine))
     with pytest.raises(FetchError, match="0000"):
         source.fetch(source.plan(HERE), tmp_path / "out")
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".part")]

@@ -59,10 +59,9 @@ class Maker:
         self.error: BaseException | None = None
         self.areas: list[Area] = []
 
-    def covers(self, area: Area) -> str:
-        return self.reason
-
     def plan(self, area: Area) -> Plan:
+        if self.reason:
+            raise NoCoverageError(self.reason)
         self.areas.append(area)
         return Plan(area, (Part("http://127.0.0.1/a.tif", "a.tif", 1000),), (), self.year)
 
@@ -183,13 +182,6 @@ def test_the_crs_of_an_own_dem_is_the_sites(makers: list[Any], tmp_path: Path) -
     assert np.isin(stored.elevation[5, 5], np.linspace(100, 300, 300 * 280, dtype=np.float32))  # no new value
 
 
-def test_a_missing_fuel_map_is_reported_and_left_out(makers: list[Any], tmp_path: Path) -> None:
-    makers[2].reason = "the area is not within its coverage"
-    plan = made(wish(tmp_path / "site"), makers)
-    assert load_site(tmp_path / "site/site.yaml").fuel.prior is None
-    assert any("coverage" in remark for remark in plan.remarks)
-
-
 def test_a_camera_outside_the_radius_stands_on_the_coarse_dem(makers: list[Any], tmp_path: Path) -> None:
     far = parse_camera("far=-118.40,34.09,height=20,azimuth=214,hfov=54")
     plan = made(wish(tmp_path / "site", cameras=[far]), makers)
@@ -242,12 +234,6 @@ def test_whatever_happens_while_fetching_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
     makers[2].error = None
     made(wish(tmp_path / "site"), makers)  # it can be repeated
-
-
-def test_no_elevation_is_an_error(makers: list[Any], tmp_path: Path) -> None:
-    makers[0].reason = "sea"
-    with pytest.raises(NoCoverageError, match="sea"):
-        plan_site(wish(tmp_path / "site"), makers)
 
 
 def test_a_disk_that_is_too_small_is_told_before_anything_is_fetched(
@@ -307,18 +293,6 @@ def test_an_update_that_fails_leaves_the_site(makers: list[Any], tmp_path: Path)
     assert sorted(str(path) for path in out.rglob("*")) == before
     with pytest.raises(ConfigError, match="exists already"):
         plan_site(wish(out, cameras=[]), makers)
-
-
-def test_a_file_that_cannot_be_written_is_an_error(
-    makers: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(path: Path, content: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(ConfigError, match="No space left"):
-        made(wish(tmp_path / "site"), makers)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_fuel_map_of_another_place_is_an_error(makers: list[Any], tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site_io import load_site
 from ltm_ros.site_setup.layers import Layer
@@ -88,12 +87,3 @@ def test_a_change_keeps_all_other_keys_and_comments(key: str, tmp_path: Path) ->
 def test_a_newer_fuel_map_keeps_the_rules_for_codes(prior: str, expected: object) -> None:
     text = changed(OWN + f"fuel: {{prior: {prior}, climate: humid}}\n", {"fuel": layer("new")}, {}, "site.yaml")
     assert yaml.safe_load(text)["fuel"] == {"prior": expected, "climate": "humid"}
-
-
-def test_a_change_that_is_no_site_leaves_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "site.yaml"
-    path.write_text(OWN)
-    with pytest.raises(ConfigError):
-        change_site(path, {}, {"health": CAMERA})  # the name of a node
-    assert path.read_text() == OWN
-    assert sorted(tmp_path.iterdir()) == [path]

@@ -102,7 +102,7 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
     listed = sources(services, tmp_path, **quarter)
     used = expected = 0.0
     for kind, area in ((Kind.ELEVATION, near), (Kind.COARSE_ELEVATION, wide), (Kind.FUEL, near)):
-        source = choose(kind, area, sources=listed)
+        source = choose(kind, area, listed)
         plan = source.plan(area)
         expected += plan.expected_bytes
         for path in source.fetch(plan, tmp_path / kind).files:
@@ -142,7 +142,7 @@ def test_a_source_that_covers_part_of_an_area_is_passed_over_with_its_share(
     services.add_product("x1y1.tif", half, "2020")
     for file, left in zip(TILES["copernicus_glo30"][0], (-119, -118), strict=True):
         add_degree_tile(services, file, left, 35, 0, -0.5)
-    source = choose(Kind.ELEVATION, AREA, sources=sources(services, tmp_path))
+    source = choose(Kind.ELEVATION, AREA, sources(services, tmp_path))
     assert source.name == "copernicus_glo30"
     notes = source.plan(AREA).notes
     assert [note.split()[0] for note in notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
@@ -228,7 +228,8 @@ def test_a_damaged_file_is_a_clear_error_and_is_fetched_again_next_time(services
 
 def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteServices, tmp_path: Path) -> None:
     source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
-    assert "sea" in source.covers(Area.around(-30.0, 20.0, 8000.0))
+    with pytest.raises(NoCoverageError, match="sea"):
+        source.plan(Area.around(-30.0, 20.0, 8000.0))
     unknown = np.full((360, 360), -9999.0, np.float32)
     for west in (119, 118):
         services.files[f"/cog/GLO30_N34_00_W{west}.tif"] = geotiff(
@@ -246,11 +247,11 @@ def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
     services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
     area = Area.around(-118.5, 34.5, 8000.0)
     listed = sources(services, tmp_path)
-    source = choose(Kind.ELEVATION, area, sources=listed)
+    source = choose(Kind.ELEVATION, area, listed)
     with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
         source.fetch(source.plan(area), tmp_path / "out")
     add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
-    source = choose(Kind.ELEVATION, area, sources=sources(services, tmp_path))
+    source = choose(Kind.ELEVATION, area, sources(services, tmp_path))
     fetched = source.fetch(source.plan(area), tmp_path / "out")
     assert (source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
     assert fetched.vertical_crs == "EPSG:3855"
