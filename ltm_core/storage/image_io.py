@@ -321,7 +321,7 @@ def _jpeg_rgb(data: bytes, what: str, reduced: int) -> UInt8Array:
         else:
             break
     if not inks:
-        return pixels
+        return np.asarray(pixels, np.uint8)
     with opened_picture(data, what) as image:
         image.draft("RGB", (max(1, image.width // reduced), max(1, image.height // reduced)))
         return np.asarray(image.convert("RGB"), np.uint8)
