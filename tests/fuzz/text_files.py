@@ -160,7 +160,7 @@ TEXT_FILES = (
     _yaml("labels", _shipped("labels.yaml"), LabelSet.load),
     _yaml("fuel_climate", _shipped("fuel/climates/dry.yaml"), lambda path: load_yaml(path, FuelClimate)),
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
-    _yaml("label_errors", _shipped("models/reliability/landscape_v4_42869ff1d923.yaml"), stated_errors),
+    _yaml("label_errors", _shipped("models/reliability/landscape_v4_faf8aa79a8d5.yaml"), stated_errors),
     _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
     _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
     _yaml("picture", _texts(_PICTURE, _ABOVE), lambda path: set_up_picture(load_picture_config(path), _dem())),
