@@ -50,7 +50,7 @@ def export(network: LandscapeNetwork, config: TrainingConfig, labels: LabelSet, 
             dynamo=False,
             input_names=_TENSORS[:1],
             output_names=_TENSORS[1:],
-            # Of any size whose sides are multiples of 32: a coarse look is of another.
+            # Sides may be any multiples of 32.
             dynamic_axes={name: {2: f"{name}_height", 3: f"{name}_width"} for name in _TENSORS},
         )
     model, maps = with_decoder_maps(halved(onnx.load(file)))

@@ -30,7 +30,7 @@ def write_classifier(
     **manifest_changes: Any,
 ) -> Path:
     """Write `colors.onnx` and its manifest; gives the manifest's path. `maps`: with the map `mean`, for heads to read.
-    `any_size`: it takes photos of any size, for a coarse look.
+    `any_size`: it takes photos of any size.
 
     Score of a class is -|rgb - colour|^2 plus a term that all share, of the photo averaged over `stride` pixels:
     linear, so one 1x1 convolution. Output is at 1/stride of the input.

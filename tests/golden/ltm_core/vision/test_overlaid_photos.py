@@ -67,7 +67,7 @@ def test_a_caption_leaves_fog_as_sky(shared_data: Path) -> None:
     clean = _labels(without, SceneFilter())
     assert (
         captioned[8:] != clean[8:]
-    ).mean() <= 0.08  # 0.066: the image has another height, so the network sees another scale
+    ).mean() <= 0.08  # 0.079: the image has another height, so the network sees another scale
     assert (captioned == Label.WATER).mean() <= (clean == Label.WATER).mean() + 0.01
 
 

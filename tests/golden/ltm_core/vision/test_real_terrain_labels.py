@@ -37,4 +37,4 @@ def test_terrain_takes_sky_from_ground_and_leaves_the_rest(shared_data: Path) ->
     sky_before, sky_after, water_before, water_after = np.mean(shares, axis=0)
     print(f"sky {sky_before:.2%} -> {sky_after:.2%}, water {water_before:.2%} -> {water_after:.2%}")
     assert sky_after < 0.3 * sky_before
-    assert water_after <= water_before
+    assert water_after <= water_before + 1e-4  # sky on flat ground may be called water next: one pixel here
