@@ -99,7 +99,7 @@ def one_frame(recording: Path, site_file: Path, camera_name: str) -> OneFrame:
     seen = (segmentation.labels, frame.stamp_ns, camera_name, segmentation.confidence)
     cast = caster.cast(depth.along, frame.camera, frame.pose, *seen, covariance)
     # They travel as a message of at most 64 kB, in decimetres and degrees: the map counts what arrives.
-    votes = msg_to_votes(votes_to_msg(fitting(cast, 0), labels.names), fuel_grid, labels.names, camera_name)
+    votes = msg_to_votes(votes_to_msg(fitting(cast), labels.names), fuel_grid, labels.names, camera_name)
 
     # Evidence over the prior map. A single frame is kept but changes no cell: that takes a second look.
     fuel_map = site_evidence_map(site, fuel_grid, labels)
