@@ -20,19 +20,19 @@ class DecayYears(StrictModel):
     """Time constants in years after which evidence of a life form has decreased to 1/e."""
 
     grass: float = Field(2.0, gt=0)
-    """Years for grass cells."""
+    """Time constant in years for cells of grass."""
     shrub: float = Field(6.0, gt=0)
-    """Years for shrub cells."""
+    """Time constant in years for cells of shrub."""
     tree: float = Field(15.0, gt=0)
-    """Years for tree cells."""
+    """Time constant in years for cells of tree."""
     bare: float = Field(2.0, gt=0)
-    """Years for bare cells."""
+    """Time constant in years for bare cells."""
     water: float = Field(10.0, gt=0)
-    """Years for water cells."""
+    """Time constant in years for cells of water."""
     built: float = Field(20.0, gt=0)
-    """Years for built cells."""
+    """Time constant in years for built-up cells."""
     burned: float = Field(6.0, gt=0)
-    """Years for burned cells. `burned_days` limits how long a cell is shown as burned; after that, this applies to what
+    """Time constant in years for burned cells. `burned_days` limits how long a cell is shown as burned; after that, this applies to what
     has grown since."""
 
 
