@@ -32,8 +32,8 @@ class DecayYears(StrictModel):
     built: float = Field(20.0, gt=0)
     """Time constant in years for built-up cells."""
     burned: float = Field(6.0, gt=0)
-    """Time constant in years for burned cells. `burned_days` limits how long a cell is shown as burned; after that, this applies to what
-    has grown since."""
+    """Time constant in years for burned cells. `burned_days` limits how long a cell is shown as burned; after that,
+    this applies to what has grown since."""
 
 
 class FusionRules(StrictModel):
