@@ -35,7 +35,7 @@ from ltm_core.tracing.trace_io import GuessConfig, load_picture_config, set_up_p
 from ltm_core.vision.areas import read_areas
 from ltm_core.vision.label_head import read_label_head
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import NetworkManifest
+from ltm_core.vision.manifest import NetworkManifest, models_folder
 from ltm_core.vision.vocabulary import Vocabulary
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
@@ -61,8 +61,7 @@ def _shipped(*names: str) -> Callable[[Path], list[bytes]]:
 
 
 def _records(folder: Path) -> list[bytes]:
-    models = config_path("models/landscape_v3.yaml").parent
-    return [path.read_bytes() for path in sorted((models / "reliability").glob("*.yaml"))]
+    return [path.read_bytes() for path in sorted((models_folder() / "reliability").glob("*.yaml"))]
 
 
 def _site(folder: Path) -> list[bytes]:

@@ -87,17 +87,22 @@ def test_the_readmes_lines_lead_to_a_fuel_map(ros_domain: int, tmp_path: Path) -
     update = site_topic("ridge", FUEL_MAP_UPDATE)
     console = tmp_path / "console"
     with console.open("w") as said:
-        graph = subprocess.Popen([*LTM, *run[1:]], cwd=tmp_path, env=environment, stdout=said, stderr=subprocess.STDOUT)
-        try:
-            with Bystander() as bystander:
-                bystander.listen(update, FUEL_MAP_UPDATE.type)
+        with Bystander() as bystander:
+            bystander.listen(update, FUEL_MAP_UPDATE.type)  # before the graph starts: one photo gives one update
+            start = [*LTM, *run[1:]]
+            graph = subprocess.Popen(start, cwd=tmp_path, env=environment, stdout=said, stderr=subprocess.STDOUT)
+            try:
                 wait_for(
                     lambda: bystander.heard[update],
                     "an update of the map",
                     lambda: (bystander.summaries, console.read_text()),
                     patience_s=240.0,
                 )
-            graph.send_signal(signal.SIGTERM)
+            except BaseException:
+                graph.kill()
+                raise
+        graph.send_signal(signal.SIGTERM)
+        try:
             assert graph.wait(60) == 0
         finally:
             graph.kill()

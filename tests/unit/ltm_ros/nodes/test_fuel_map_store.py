@@ -198,7 +198,11 @@ def test_foreign_and_damaged_stores_end_the_node_and_stay_as_they_are(site: Path
     Node(write_site(other, fuel={"resolution": 60.0}), folder=str(folder)).handler.finish()
     damaged = bytearray(path.read_bytes())
     damaged[5000:9000] = bytes(4000)
-    cases = {"geometry is": (path.read_bytes(), {}), "damaged": (bytes(damaged), {}), "not a tile": (b"diary" * 99, {})}
+    cases = {
+        "geometry is": (path.read_bytes(), {}),
+        "damaged": (bytes(damaged), {}),
+        "not an LTM store": (b"diary" * 99, {}),
+    }
     Node(site, folder=str(other)).handler.finish()
     with contextlib.closing(sqlite3.connect(other / STORE_FILE)) as store:
         (described,) = store.execute("SELECT content FROM description").fetchone()
