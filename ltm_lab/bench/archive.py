@@ -14,7 +14,7 @@ from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.stamp import ns_to_time, stamp_of
 from ltm_ros.archive.plan import Task, TaskSettings
 from ltm_ros.archive.run import ArchiveOptions, Plan, look_through
-from ltm_ros.archive.task import Engine, TaskReport, on_workers, serial, work
+from ltm_ros.archive.task import Engine, on_workers, serial, work
 
 _WARM_UP = 2
 """Tasks of each process that are not counted; the first loads kernels and networks."""
@@ -73,34 +73,35 @@ def write_days(bag: Path, path: Path, days: int) -> Path:
     return path
 
 
-@dataclass(frozen=True)
-class TimedReport(TaskReport):
-    """A task's report with the processor time of its worker."""
+class TimedCount(int):
+    """Number of images of a task, with the processor time of its worker in seconds."""
 
-    cpu_s: float
+    cpu_s = 0.0
 
 
-def timed_work(task: Task, settings: TaskSettings) -> TaskReport:
+def timed_work(task: Task, settings: TaskSettings) -> int:
     """Work a task and measure the processor time of all threads of the worker."""
     begin = time.process_time()
-    return TimedReport(work(task, settings).worked, time.process_time() - begin)
+    counted = TimedCount(work(task, settings))
+    counted.cpu_s = time.process_time() - begin
+    return counted
 
 
 class WorkedPlan:
     """A plan that an engine has worked. Raises ArchiveError if a task fails."""
 
     def __init__(self, planned: Plan, engine: Engine) -> None:
-        self._reports, self._ends, self._spent = list[TaskReport](), list[float](), list[float]()
+        self._worked, self._ends, self._spent = list[int](), list[float](), list[float]()
         for done in engine(planned.tasks, planned.settings):
-            if done.report is None:
+            if done.error:
                 raise ArchiveError(f"{done.task.label}: {done.error}")
-            self._reports.append(done.report)
+            self._worked.append(done.worked)
             self._ends.append(time.perf_counter())
             self._spent.append(time.process_time())
 
     def frames(self, warm_up: int, last: int = 0) -> int:
         """Return the frames of the tasks after the first `warm_up` and before the last `last`."""
-        return sum(report.worked for report in self._reports[warm_up : len(self._reports) - last])
+        return sum(self._worked[warm_up : len(self._worked) - last])
 
     def rate(self, warm_up: int, last: int) -> float:
         """Return the frames per second of those tasks."""
@@ -112,7 +113,7 @@ class WorkedPlan:
 
     def engine_share(self, warm_up: int) -> float:
         """Return this process's share in the processor time, if workers have timed their tasks."""
-        workers = sum(report.cpu_s for report in self._reports[warm_up:] if isinstance(report, TimedReport))
+        workers = sum(count.cpu_s for count in self._worked[warm_up:] if isinstance(count, TimedCount))
         return self.own_cpu_s(warm_up) / (self.own_cpu_s(warm_up) + workers)
 
 
