@@ -21,7 +21,7 @@ Points = npt.NDArray[np.float64]
 
 _FINER = 4  # drawn so many times larger
 _COVERED = 0.5  # of a pixel, from which it is the structure's
-_TOUCHED = 0.08  # of a pixel, from which nobody can tell
+_TOUCHED = 0.08  # share of a pixel below which the structure is invisible
 
 
 class _Sheet:

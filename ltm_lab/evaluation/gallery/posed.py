@@ -40,7 +40,7 @@ ENGABREEN_POSITION = (722.0, 671.0, 770.0)
 ENGABREEN_STATED = Camera(4290, 2856, 30 / 22.0 * 4290, 30 / 22.0 * 4290, 2144.5, 1427.5)
 """As the source states them: 30 mm on a sensor 22.0 mm wide; nothing is known of the angles."""
 LARGE_CHANGE = 1.5
-"""Metres: change that nobody would call small."""
+"""Change of height in metres that is certainly not small."""
 _CALIBRATION = float(np.radians(0.03))
 
 Progress = Callable[[str], None]

@@ -31,9 +31,9 @@ _NAMED = 6
 
 @dataclass(frozen=True, eq=False)
 class NamedPhoto:
-    """A photo with the class ids that a person gave to parts of it, 255 elsewhere; None where nobody has.
+    """A photo with the class ids that a person gave to parts of it, 255 elsewhere; None without such a drawing.
 
-    `mountain`: where a person saw a mountain, which is never sky; None where nobody said."""
+    `mountain`: where a person saw a mountain, which is never sky; None if not stated."""
 
     name: str
     photo: RgbImage

@@ -62,7 +62,7 @@ def stop(*processes: NodeProcess) -> None:
 def test_what_is_down_is_named_with_its_reason_and_is_watched_all_the_same() -> None:
     lives = process("fuel_map", "import time; time.sleep(600)")
     cannot = process("depth", "raise SystemExit(78)")
-    assert not lives.watched, "nobody follows it yet"
+    assert not lives.watched, "it has not started yet"
     for one in (lives, cannot):
         one.start()
     try:
@@ -72,7 +72,7 @@ def test_what_is_down_is_named_with_its_reason_and_is_watched_all_the_same() -> 
         assert said == ("1 of 2 processes run; down: depth (given up, exit code 78: its configuration is invalid)")
         assert len(in_words([lives, *[cannot] * 9])) == LONGEST
         assert lives.watched
-        assert cannot.watched, "a restart would not mend a configuration"
+        assert cannot.watched, "a restart does not correct a configuration"
     finally:
         stop(lives, cannot)
     assert lives.watched

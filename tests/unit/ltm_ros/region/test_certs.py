@@ -37,10 +37,10 @@ def test_keys_are_for_their_owner_alone_and_what_is_there_stays(tmp_path: Path) 
 
 @pytest.mark.parametrize("name", ["ca", "bear"])
 def test_a_key_without_a_certificate_is_not_overwritten(tmp_path: Path, name: str) -> None:
-    (tmp_path / f"{name}.key").write_text("somebody's")
+    (tmp_path / f"{name}.key").write_text("a key of the user")
     with pytest.raises(ConfigError, match=rf"{name}\.key"):
         TrialAuthority(tmp_path, 2).make("kern", ["bear"], [], "127.0.0.1", 8883)
-    assert (tmp_path / f"{name}.key").read_text() == "somebody's"
+    assert (tmp_path / f"{name}.key").read_text() == "a key of the user"
 
 
 @pytest.mark.parametrize("name", ["aggregator", "ca", "broker", "#", "+", "Alta", "a/b", "x" * 64, ""])

@@ -28,7 +28,7 @@ def test_while_a_node_works_its_clock_takes_no_message_s_place(monkeypatch: pyte
     try:
         (take,) = node.handler.subscriptions.values()
         node._offer(take, Header())
-        for _ in range(2 * QUEUE):  # so many half seconds
+        for _ in range(2 * QUEUE):  # one tick each half second
             node._tick()
         for _ in range(QUEUE - 2):
             node._offer(take, Header())

@@ -50,7 +50,7 @@ def test_it_answers_once_the_port_is_free(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_token_that_is_corrected_needs_no_restart(tmp_path: Path) -> None:
-    """A node that ends would leave the tower without a status page until somebody restarts it."""
+    """A node that ends would leave the tower without a status page until it is restarted by hand."""
     health, token = Health(), tmp_path / "token"
     config = HealthConfig(port=free_port(), token=token)
     server = PatientServer(config, ROUTES, health, lambda _: None, lambda _: None, retry_s=0.01)
