@@ -13,6 +13,7 @@ from pydantic.json_schema import models_json_schema
 from std_msgs.msg import String
 
 from ltm_core.base.errors import MessageError
+from ltm_core.base.strict_model import problem_text
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 
 
@@ -183,8 +184,7 @@ def msg_to_model(msg: Any) -> str:
     try:
         return LabelInfo.model_validate_json(msg.data).model
     except ValidationError as error:
-        where = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'document'}: {e['msg']}" for e in error.errors()[:3])
-        raise MessageError(f"labels/info is not a label set: {where}; got {msg.data[:120]!r}") from error
+        raise MessageError(f"labels/info is not a label set: {problem_text(error)}; got {msg.data[:120]!r}") from error
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from geometry_msgs.msg import PointStamped
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from rclpy.node import Node
 
-from ltm_core.base.strict_model import StrictModel
+from ltm_core.base.strict_model import StrictModel, problem_text
 from ltm_msgs_py.json_topics import LocateTracks
 from ltm_msgs_py.stamp import make_header
 from ltm_ros.cameras.protocols.picture import difference_deg
@@ -103,8 +103,7 @@ class Marks:
         try:
             mark = PageMark.model_validate_json(body)
         except ValidationError as error:
-            wrong = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'body'}: {one['msg']}" for one in error.errors())
-            return WebResponse.error(HTTPStatus.BAD_REQUEST, f"invalid mark: {wrong}")
+            return WebResponse.error(HTTPStatus.BAD_REQUEST, f"invalid mark: {problem_text(error)}")
         picture = self._shown(mark.camera, mark.stamp) if mark.camera in self._publishers else None
         if picture is None:
             return WebResponse.error(HTTPStatus.NOT_FOUND, "the page has no image of this camera and time: reload it")
@@ -150,9 +149,7 @@ class Marks:
             about = (one.properties for one in told.features)
             found = [_Place.model_validate(one) for one in about if one.get("role") == "place"]
         except ValidationError as error:
-            self._health.drop(
-                "message", f"{LOCATE_TRACKS.name}: invalid message of `locate` ({error.errors()[0]['msg']})"
-            )
+            self._health.drop("message", f"{LOCATE_TRACKS.name}: invalid message of `locate` ({problem_text(error)})")
             return
         with self._lock:
             self._places = sorted(found, key=lambda place: -place.last_ns)

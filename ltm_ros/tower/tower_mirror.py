@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
 from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.strict_model import problem_text
 from ltm_core.base.types import RgbImage
 from ltm_core.pictures.legend import to_png
 from ltm_ros.runtime.retry import Backoff
@@ -172,7 +173,7 @@ def _records(stream: IO[bytes] | http.client.HTTPResponse) -> Iterator[tuple[_Re
         try:
             record = _Record.model_validate_json(line)
         except ValidationError as error:
-            raise StreamError(f"the stream has an invalid record ({error.errors()[0]['msg']})") from error
+            raise StreamError(f"the stream has an invalid record ({problem_text(error)})") from error
         content = stream.read(record.bytes)
         if len(content) < record.bytes:
             return

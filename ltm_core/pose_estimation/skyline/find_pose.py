@@ -4,7 +4,7 @@
    (`contour_scores`).
 2. The best, a degree or more apart, are refined by least squares (`pose_refinement`).
 3. The best of these is accepted where it stands out (`judge`). Where no skyline of the DEM is in the image, or
-   land beyond the DEM may look like one, ridges alone are asked (`ridge_search`); and where the skyline by itself
+   land beyond the DEM may look like one, ridges alone are asked (`_asks_ridges`); and where the skyline by itself
    leaves the pose open, whether they are of the same one. Otherwise the prior pose stays.
 4. Where land beyond the DEM may be the skyline, a pose among plants settles on the ridges (`settled_on_ridges`).
 
