@@ -7,8 +7,6 @@ Takes the first frame of one tower of the shipped recording (`bags/demo`) throug
 array equal to what the nodes make of that frame; docs/how/one_frame.md explains the steps.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Find the configuration files of the laboratory: scenarios, trainings and lists of real photos."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 

@@ -1,7 +1,5 @@
 """A node that listens beside a graph, for measurements and tests."""
 
-from __future__ import annotations
-
 import threading
 from types import TracebackType
 from typing import Self

@@ -1,7 +1,5 @@
 """Convert fuel cells and surface changes to PointCloud2 and OccupancyGrid, and versions of the surface to a status."""
 
-from __future__ import annotations
-
 import re
 from typing import Any, Final
 

@@ -3,8 +3,6 @@
 OccupancyGrid counts rows from the south, its origin is the outer corner of the south-west cell, and its cells are int8
 with -1 as unknown. Ours count from the north and are uint8 with 255 as unknown. This is the one place with the flip."""
 
-from __future__ import annotations
-
 from array import array as int8_array
 from typing import Any
 

@@ -3,8 +3,6 @@
 Assigning an ndarray to `msg.data` costs a Python loop over every byte (257 ms for 1080p rgb8); filling the message's
 buffer through a view costs 0.12 ms. So buffers are filled in place, and reused when the caller hands a message back."""
 
-from __future__ import annotations
-
 from array import array as byte_array
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 A field that is added keeps the version; another meaning of a field, or one less, raises it. The schemas are in
 `config/json_topics.schema.json`, which `python -m ltm_msgs_py.json_topics` prints."""
 
-from __future__ import annotations
-
 import json
 from typing import Any, Literal
 

@@ -3,8 +3,6 @@
 Votes are one point a cell, with the columns of `ltm_core.fuel.vote_columns` as fields, so that any ROS tool shows
 them."""
 
-from __future__ import annotations
-
 import sys
 from array import array as byte_array
 from collections.abc import Sequence

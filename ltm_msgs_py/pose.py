@@ -5,8 +5,6 @@
   stated; the tilt zero of a PTZ head is in the status `pose/info` of the same stamp.
 - Regions of images are in the optical frame: x and y are pixels u and v; z is ignored."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

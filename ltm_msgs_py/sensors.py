@@ -1,7 +1,5 @@
 """Convert CameraInfo, Imu and NavSatFix to core types, and back."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Convert nanoseconds to builtin_interfaces/Time and back."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from builtin_interfaces.msg import Time

@@ -1,7 +1,5 @@
 """Convert states and counts to diagnostic_msgs and back: `/diagnostics`, and what is stated of a frame or a surface."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -5,8 +5,6 @@ Its release is a virtual environment at `/opt/ltm/releases/VERSION` for Debian's
 nothing: the package contains numba's kernels for two levels of x86-64 (`precompile.py`).
 """
 
-from __future__ import annotations
-
 import argparse
 import compileall
 import hashlib

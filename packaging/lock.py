@@ -4,8 +4,6 @@ Run `python packaging/lock.py` with the Python of the towers (Debian 12: 3.11, x
 are those of constraints.txt. pip reports what it would install; nothing is installed.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -4,8 +4,6 @@
 processor of the level (`ltm_core/base/numba_cache.py`); a kernel for other types is compiled at its first call.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -4,8 +4,6 @@ An overlay over a root folder (`make_debian_root`) gives each trial the same cle
 with overlays and control groups, and changes nothing on this machine.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -77,7 +75,7 @@ class TrialMachine:
         self._machine: subprocess.Popen[bytes] | None = None
         self._init = 0
 
-    def __enter__(self) -> TrialMachine:
+    def __enter__(self) -> "TrialMachine":
         # Not in /tmp: that may be an overlay itself, or memory.
         self._work = Path(tempfile.mkdtemp(prefix="ltm-trial-", dir="/var/tmp"))
         for name in ("upper", "work", "root"):

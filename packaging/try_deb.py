@@ -5,8 +5,6 @@
 other releases are copies of the package with other versions, some of them broken on purpose.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import shutil

@@ -7,8 +7,6 @@ same.
 Exits with 1 where a vulnerability is known; with 0 where none is, and also where nobody could be asked, which it says.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

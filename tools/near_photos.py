@@ -6,8 +6,6 @@ PACKAGES/NAME: what each package of that file's list holds, unpacked; SKIES: the
 skies stand behind the panorama of a meadow. OUT gets NAME.jpg, three to two. Needs the extra `sim`, to read OpenEXR.
 """
 
-from __future__ import annotations
-
 import base64
 import re
 import sys

@@ -5,8 +5,6 @@ Results of BEFORE are kept in the work folder and reused, so that AFTER can be c
 another work folder if BEFORE has changed. Print a line for each job. Exit with 1 if any job differs or fails.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import importlib

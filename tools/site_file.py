@@ -5,8 +5,6 @@
 `EXAMPLE` holds what has no default. A key is explained where it first occurs; a key without a value is a comment.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import textwrap

@@ -4,8 +4,6 @@ MkDocs runs `on_page_markdown` for each page: a line `{site keys: GROUP}` become
 `{expert keys}` and `{written keys}` the tables of the tuning constants and of what commands write.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

@@ -11,8 +11,6 @@ failure more (Jeffreys' prior), each in the stratum in which a cell weighs most.
 distribution (as Korn and Graubard 1998, Surv. Methodol. 24) with the mean and variance of the share after all other
 cells are drawn from Dirichlet distributions. `ltm-lab eval assessment` counts how many intervals contain the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -136,7 +134,7 @@ class Estimate:
         """Return whether the interval rests on too few events to contain the truth in 93 to 97 % of the samples."""
         return self.low < self.high and self.events < FEWEST_EVENTS
 
-    def times(self, factor: float) -> Estimate:
+    def times(self, factor: float) -> "Estimate":
         """Return the estimate in another unit, such as hectares."""
         scaled = {name: factor * getattr(self, name) for name in ("value", "error", "low", "high")}
         return replace(self, **scaled)

@@ -1,7 +1,5 @@
 """Define the exceptions for invalid input, and the findings of checks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -74,7 +72,7 @@ class SiteFinding:
     said: str
 
     @classmethod
-    def of(cls, area: str, name: str, error: LtmError | str, verdict: SiteVerdict = SiteVerdict.WRONG) -> SiteFinding:
+    def of(cls, area: str, name: str, error: LtmError | str, verdict: SiteVerdict = SiteVerdict.WRONG) -> "SiteFinding":
         """Return the finding of an error or a warning; its lines are joined into one."""
         return cls(area, name, verdict, "; ".join(line.strip() for line in str(error).splitlines()).replace(":;", ":"))
 

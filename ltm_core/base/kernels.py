@@ -3,8 +3,6 @@
 Kernels are cached on disk (`numba_cache`) and compiled when they are first called. Division by zero gives infinity or
 NaN. Without compilation (NUMBA_DISABLE_JIT) they are plain Python functions."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

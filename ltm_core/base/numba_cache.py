@@ -8,8 +8,6 @@ package, at any depth. An edit elsewhere recompiles nothing.
 A release carries folders compiled for two levels of x86-64, made by `packaging/precompile.py` and named by the state,
 the versions of Python and numba, and the level. The best that the processor can run is copied to where the cache is."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Write numbers for people, and convert UTC times."""
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime, timedelta
 from typing import Final

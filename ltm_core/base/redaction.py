@@ -1,7 +1,5 @@
 """Keep secrets out of text and files: remove passwords and control characters for display, reject URLs with secrets."""
 
-from __future__ import annotations
-
 import ipaddress
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Find the files of `config/` in a checkout, beside an installed package, or in an ament prefix."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Base class of the typed configuration files, and the section `expert` with their tuning constants."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 

@@ -1,7 +1,5 @@
 """Array types by element type, and tables of named columns. Shapes and units are documented where they are used."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 A *partial* model holds what is known of a photo, the other what a camera needs."""
 
-from __future__ import annotations
-
 from datetime import date
 from typing import Annotated, Any, Literal, Self
 
@@ -146,7 +144,7 @@ class PartialPose(StrictModel):
                 raise ValueError(f"give either {a} or {b}, not both")
         return self
 
-    def over(self, other: PartialPose | None) -> PartialPose:
+    def over(self, other: "PartialPose | None") -> "PartialPose":
         """Return this pose, completed (place, height, azimuth, pitch, roll, each with its sigma) from another one."""
         if other is None:
             return self

@@ -1,7 +1,5 @@
 """Convert poses and lenses of other tools: axes, rotation angles, Earth-centred coordinates, and other lens models."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -54,7 +52,7 @@ class ForeignPose:
         if off > 1e-3 or np.linalg.det(self.rotation) < 0:
             raise PoseError(f"{self.place}: the matrix is no rotation (it is off by {off:.2g})")
 
-    def with_rotation(self, rotation: Float64Array) -> ForeignPose:
+    def with_rotation(self, rotation: Float64Array) -> "ForeignPose":
         return replace(self, rotation=rotation)
 
     def pose(self, frame: SiteFrame, ground: Callable[[float, float], float], undulation: float) -> Pose:

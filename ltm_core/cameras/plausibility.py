@@ -2,8 +2,6 @@
 
 An angle off the circle is an error; possible but unlikely values give a warning in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from typing import Annotated

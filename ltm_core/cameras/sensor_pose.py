@@ -4,8 +4,6 @@ A device states how its axes lie in a world of its own; `ENU_FROM_*` rotate thes
 north (true or magnetic). Sources: Android's SensorManager (x east, y north, z up), Apple's CMAttitudeReferenceFrame
 (x north, z up), and the axes of a phone in both: x to the right of the screen, y to its top, z out of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -2,8 +2,6 @@
 
 The model states what the network answers, and its noise, if the true depth is known: bias and spread by range."""
 
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 from typing import NamedTuple
@@ -33,7 +31,7 @@ class ErrorModel(NamedTuple):
     least_said: np.float32
 
     @classmethod
-    def none(cls) -> ErrorModel:
+    def none(cls) -> "ErrorModel":
         """Return the model used without a network."""
         plain = np.zeros(OCTAVES, np.float32)
         return cls(plain, plain + 1, np.float32(1.0))

@@ -3,8 +3,6 @@
 The ray that meets a surface raised by h above ground of depth d is the one that meets bare ground h f / d pixels
 further down the image: so the top of vegetation is found in the traced image itself, never across a silhouette."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -4,8 +4,6 @@ A constant is *fitted* to rendered frames by `ltm-lab train fusion`, which write
 `<network>_fusion.yaml`, or *chosen* by the RMSE of `ltm-lab eval depth` on the development scenarios. Log odds are
 natural logarithms of p / (1 - p)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Select pixels where the terrain can be trusted, by what label classes mean to depth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -32,7 +30,7 @@ class ClassPriors:
     sky: int = int(Label.SKY)
 
     @classmethod
-    def of(cls, labels: LabelSet, config: FusionConfig | None = None) -> ClassPriors:
+    def of(cls, labels: LabelSet, config: FusionConfig | None = None) -> "ClassPriors":
         """Return the tables of a label set."""
         config = FusionConfig() if config is None else config
         cover, ground = np.zeros(256, np.float32), np.zeros(256, np.bool_)
@@ -58,7 +56,7 @@ class LabelView(NamedTuple):
     sky: int
 
     @classmethod
-    def of(cls, labels: UInt8Array | None, classes: ClassPriors) -> LabelView:
+    def of(cls, labels: UInt8Array | None, classes: ClassPriors) -> "LabelView":
         """Return the view of `labels`, (H, W) class ids or None."""
         return cls(np.zeros((1, 1), np.uint8) if labels is None else labels, labels is not None, classes.sky)
 
@@ -83,7 +81,7 @@ class GroundSamples:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def part(self, chosen: BoolArray) -> GroundSamples:
+    def part(self, chosen: BoolArray) -> "GroundSamples":
         """Return the samples selected by `chosen` (N,)."""
         return GroundSamples(self.rows[chosen], self.cols[chosen], self.depth[chosen], self.sigma[chosen])
 

@@ -3,8 +3,6 @@
 Source: He and Sun, Fast Guided Filter, arXiv:1505.00996 (2015): in each window the small image is taken as a line of
 the photo's grey values; gain and offset vary slowly, so they can be enlarged bilinearly and applied at full size."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2
@@ -54,7 +52,7 @@ class NetworkView(NamedTuple):
     there: bool
 
     @classmethod
-    def of(cls, fit: ScaleFit, rgb: UInt8Array, config: FusionConfig) -> NetworkView:
+    def of(cls, fit: ScaleFit, rgb: UInt8Array, config: FusionConfig) -> "NetworkView":
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         gain, offset = guided_coefficients(fit.inverse, grey, config.upsampling)
         cells = np.stack([gain, offset, fit.nearest, fit.farthest])
@@ -65,7 +63,7 @@ class NetworkView(NamedTuple):
         return cls(cells, grey, columns, parts, fit.error_model, np.float32(fit.gross), True)
 
     @classmethod
-    def none(cls) -> NetworkView:
+    def none(cls) -> "NetworkView":
         """Return the view used without a network."""
         grey, column = np.zeros((1, 1), np.uint8), np.zeros(1, np.int32)
         cells, part = np.zeros((4, 2, 2), np.float32), np.zeros(1, np.float32)

@@ -1,7 +1,5 @@
 """Run a depth network on a photo; its depth has the network's own unit and size."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, cast
@@ -52,7 +50,7 @@ class DepthNetwork:
         self.fusion = load_fusion_config(manifest)
 
     @classmethod
-    def open(cls, path_or_name: str | Path, threads: int = 1) -> DepthNetwork:
+    def open(cls, path_or_name: str | Path, threads: int = 1) -> "DepthNetwork":
         """Return a network by its manifest's path, or by the name of one in `config/models`."""
         return cls(NetworkManifest.find(path_or_name), threads)
 

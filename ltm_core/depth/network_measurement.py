@@ -1,7 +1,5 @@
 """Depth measured by a network alone, with its uncertainty, to detect changes of the terrain: fused depth follows it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +21,7 @@ class NetworkMeasurement:
     sigma: Float32Array
 
     @classmethod
-    def of(cls, fit: ScaleFit, config: FusionConfig) -> NetworkMeasurement:
+    def of(cls, fit: ScaleFit, config: FusionConfig) -> "NetworkMeasurement":
         """Return the measurement of a usable fit. A pixel may not show the ground on which the network was fitted, so
         sigma is that of objects in front of it."""
         depth, sigma = np.empty_like(fit.inverse), np.empty_like(fit.inverse)
@@ -31,13 +29,13 @@ class NetworkMeasurement:
         _measure(seen, fit.error_model, DecisionRules.of(config.decision), sure, depth, sigma)
         return cls(depth, sigma)
 
-    def without(self, hidden: BoolArray) -> NetworkMeasurement:
+    def without(self, hidden: BoolArray) -> "NetworkMeasurement":
         """Return a copy without the pixels (h, w) that do not show the terrain."""
         nothing = np.float32(np.nan)
         return NetworkMeasurement(np.where(hidden, nothing, self.depth), np.where(hidden, nothing, self.sigma))
 
     @classmethod
-    def none(cls) -> NetworkMeasurement:
+    def none(cls) -> "NetworkMeasurement":
         """Return the empty measurement."""
         nothing = np.full((1, 1), np.nan, np.float32)
         return cls(nothing, nothing)

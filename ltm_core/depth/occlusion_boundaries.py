@@ -3,8 +3,6 @@
 The pixels above a traced silhouette are given to the near or the far side by colour: one cut a column where the
 likelihood is greatest, under a prior that falls with the height of the cover."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import cv2
@@ -35,7 +33,7 @@ class BoundaryRules(NamedTuple):
     jump: np.float32
 
     @classmethod
-    def of(cls, config: FusionConfig, highest: float, focal: float) -> BoundaryRules:
+    def of(cls, config: FusionConfig, highest: float, focal: float) -> "BoundaryRules":
         given = [getattr(config.boundaries, name) for name in cls._fields[:8]]
         more = map(np.float32, (highest, focal, config.surface.jump))
         return cls(*(v if isinstance(v, int) else np.float32(v) for v in given), *more)  # type: ignore[arg-type]

@@ -3,8 +3,6 @@
 An object's foot is directly below it in the image, where the terrain is as near as the object, and its height is the
 distance from there up to the pixel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -31,7 +29,7 @@ class DepthDiscontinuities:
     jump: float
 
     @classmethod
-    def of(cls, ground: Float32Array, jump: float) -> DepthDiscontinuities:
+    def of(cls, ground: Float32Array, jump: float) -> "DepthDiscontinuities":
         """Return pixels with ground (H, W) below a pixel that is at least `jump` times as far, sky or unknown."""
         here, above = ground[:0:-1], ground[-2::-1]
         near = (here < np.float32(1e9)) & ~(above < np.float32(jump) * here)
@@ -69,7 +67,7 @@ class OcclusionPrior(NamedTuple):
         pose: Pose,
         cells: tuple[int, int],
         config: FusionConfig,
-    ) -> OcclusionPrior:
+    ) -> "OcclusionPrior":
         """Return the prior from traced depth of bare ground (H, W) and label ids (H, W) or None. `cells`: (h, w) of the
         network whose depth will be compared. If the camera is rolled or points steeply up or down, feet are not used,
         because objects do not stand along its columns."""
@@ -87,7 +85,7 @@ class OcclusionPrior(NamedTuple):
         return cls(np.where(ids == classes.sky, np.float32(0.0), odds[ids]), feet, focal, *limits)
 
     @classmethod
-    def none(cls) -> OcclusionPrior:
+    def none(cls) -> "OcclusionPrior":
         """Return the unused prior."""
         nothing = np.zeros((1, 1), np.float32)
         return cls(nothing, nothing, np.float32(1.0), np.float32(0.0), np.float32(0.0))

@@ -4,8 +4,6 @@ Where the network says what it would say if the terrain were right (`error_model
 variance, in inverse depth. Where it sees something nearer, the odds of an object (`occlusion_prior`) against an error
 of the network decide; if they are nearly even, depth is the mean of both, and sigma includes their distance."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +34,7 @@ class DecisionRules(NamedTuple):
     """The value 1 - open."""
 
     @classmethod
-    def of(cls, config: DecisionConfig) -> DecisionRules:
+    def of(cls, config: DecisionConfig) -> "DecisionRules":
         given = [np.float32(getattr(config, name)) for name in cls._fields[:10]]
         return cls(*given, *[np.float32(1.0 - config.open)])
 

@@ -3,8 +3,6 @@
 The traced silhouettes are shifted over the photo's vertical gradient. The pose is suspected if only turns beyond the
 tolerance meet about as much contrast as the best one. Crests so near that cover moves their edges are left out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -33,7 +31,7 @@ class PoseCheck:
     """Whether there was enough evidence to detect a wrong pose."""
 
     @classmethod
-    def none(cls) -> PoseCheck:
+    def none(cls) -> "PoseCheck":
         """Return the result for a pose that is not checked."""
         return cls(0, 0.0, 0.0, 1.0, False, "", False)
 

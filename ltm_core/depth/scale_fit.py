@@ -4,8 +4,6 @@ RANSAC (Fischler and Bolles, 1981) with the median as its score (LMedS, Rousseeu
 known, and least squares over the inliers; all trials are scored in one array operation. The result is inverse depth,
 1/m, whose noise is about even over the image."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

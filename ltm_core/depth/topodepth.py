@@ -4,8 +4,6 @@ After the paper's pixel sampling and RANSAC regression (the LTM paper, after Fir
 from pixels whose terrain can be trusted. The terrain's answer is brought to the visible surface, by the height of what
 the labels say grows there or by a canopy raster, and at silhouettes by the photo. Then `pixel_fusion` decides."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum, StrEnum
 from functools import cached_property

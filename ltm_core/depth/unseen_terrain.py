@@ -1,7 +1,5 @@
 """Find pixels without traced terrain: hidden by structures, sky by the labels, and unknown regions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -22,7 +20,7 @@ def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, s
     return np.asarray(np.where(hidden, behind, labels), np.uint8)
 
 
-def edges_seen(edges: DepthDiscontinuities, hidden: BoolArray) -> DepthDiscontinuities:
+def edges_seen(edges: "DepthDiscontinuities", hidden: BoolArray) -> "DepthDiscontinuities":
     """Return edges without those that hidden pixels (H, W) cover or that border the hidden area."""
     above = np.maximum(edges.rows - 1, 0)
     seen = ~(hidden[edges.rows, edges.cols] | hidden[above, edges.cols])

@@ -1,7 +1,5 @@
 """Describe a fire, compare it on the previous and the updated map, and read and write its rasters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,7 +185,7 @@ class Moisture:
     foliar: float = 100.0
 
     @classmethod
-    def parse(cls, text: str | None) -> Moisture:
+    def parse(cls, text: str | None) -> "Moisture":
         """Parse a moisture. Raises ConfigError unless it is a scenario or five percentages."""
         if not text:
             raise ConfigError(f"a fire needs the fuel moisture: give --moisture, {MOISTURE_HELP}")
@@ -218,7 +216,7 @@ class Wind:
     direction: float
 
     @classmethod
-    def parse(cls, text: str) -> Wind:
+    def parse(cls, text: str) -> "Wind":
         """Parse a wind. Raises ConfigError unless it is a speed and a direction."""
         try:
             speed, direction = (float(part) for part in text.split(","))

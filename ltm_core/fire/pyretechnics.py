@@ -1,7 +1,5 @@
 """Compute fires with Pyretechnics, which runs in its own environment."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

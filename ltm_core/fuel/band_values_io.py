@@ -1,7 +1,5 @@
 """Read bands of terrain, fuel and canopy in LANDFIRE's units: nodata, the unit that values show, implausible values."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 

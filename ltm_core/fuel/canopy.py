@@ -10,8 +10,6 @@ B and N follow from cover and height: crowns stand at random, so that N pi r^2 =
 0.15 H, and stems are H / 70 thick. These shares are assumed; only changes of a stand are used, in which they all but
 cancel. Of broadleaved stands it says nothing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -6,8 +6,6 @@ depends on the angle of sight and on the neighbours along it. `CellAppearanceMod
 many cells of each form, which gives the log ratios of the likelihoods of what is seen (Qin, Biometrika 85, 1998).
 `ltm-lab train appearance` fits it."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from itertools import pairwise
 from typing import Final, Self
@@ -47,7 +45,7 @@ class CellAppearanceModel(StrictModel):
                 raise ValueError(f"weights.{form}: must be {len(self.incidence)} rows of {SEEN}")
         return self
 
-    def rounded(self) -> CellAppearanceModel:
+    def rounded(self) -> "CellAppearanceModel":
         """Return a copy with two digits, for a file."""
         weights = {form: tuple(map(tuple, np.round(rows, 2).tolist())) for form, rows in self.weights.items()}
         return CellAppearanceModel(incidence=self.incidence, weights=weights)

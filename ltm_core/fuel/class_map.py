@@ -1,7 +1,5 @@
 """Count the labels of each cell (the paper's majority map), and read and write maps of classes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

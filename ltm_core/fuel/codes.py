@@ -5,8 +5,6 @@ fire: grass to models 1 to 3, shrub to 4 to 7, timber to 8 to 10, slash to 11 to
 the first two. Which model within the type is no function of the code: LANDFIRE derives both maps from vegetation. So a
 table gives it for a climate."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from enum import StrEnum
 from functools import lru_cache
@@ -188,7 +186,7 @@ class FuelClimate(StrictModel):
     """Map from every burnable FBFM13 code to FBFM40, within its fuel type."""
 
     @classmethod
-    def named(cls, name: str) -> FuelClimate:
+    def named(cls, name: str) -> "FuelClimate":
         """Return a climate that ships with the project. Raises ConfigError with the list of names."""
         folder = config_path("fuel/climates")
         path = folder / f"{name}.yaml"

@@ -1,7 +1,5 @@
 """Rules by which the evidence for life forms changes a cell's fuel code, and the layers of the fuel map."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -64,7 +62,7 @@ class FuelLayers:
         """Return (H, W) whether a cell has changed since the prior map."""
         return changed_cells(self.prior, self.code)
 
-    def part(self, row: int, col: int, height: int, width: int) -> FuelLayers:
+    def part(self, row: int, col: int, height: int, width: int) -> "FuelLayers":
         """Return a rectangle of the layers, as views."""
         cut = slice(row, row + height), slice(col, col + width)
         return FuelLayers(**{field.name: getattr(self, field.name)[cut] for field in fields(self)})

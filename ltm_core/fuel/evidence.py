@@ -5,8 +5,6 @@ What a frame shows (`frame_evidence`) is kept by view, the direction from the ca
 view the newest epochs are kept. Weight and fuel code (`decision`) are functions of that state and of the time of the
 query, so that frames may come late and in any order. docs/how/fuel.md has the mathematics."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Spread one frame's votes over neighbouring cells, add them as evidence and pool observations, in compiled loops."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

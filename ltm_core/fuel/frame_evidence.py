@@ -1,7 +1,5 @@
 """Compute the evidence for the life form of each cell from the votes of one frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

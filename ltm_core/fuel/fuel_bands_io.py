@@ -2,8 +2,6 @@
 
 Attribute tables, band descriptions and file names decide; positions count only in a landscape that names no band."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Mapping

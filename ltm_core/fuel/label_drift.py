@@ -5,8 +5,6 @@ cell's life form. Season, light and views move it, so its variance is that betwe
 EWMA (Roberts, Technometrics 1, 1959) whose limits keep the full standard deviation of a week, because neighbouring
 weeks are alike. Centre and deviation follow a slow seasonal cycle, which therefore stays within the limits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path

@@ -3,8 +3,6 @@
 A record belongs to labels, not to a name. Its digest covers the network's file, everything in the manifest that turns
 its output into labels, and the label head. A renamed network keeps its record; another file or head has none."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

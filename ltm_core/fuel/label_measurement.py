@@ -10,8 +10,6 @@ Errors of two looks at cells of one life form agree beyond chance by their intra
 what two looks show beyond what their form lets expect, divided by that of a look with itself (Donner, International
 Statistical Review 54, 1986)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final

@@ -3,8 +3,6 @@ line, water on slopes.
 
 A pixel that shows one there is a network's error: it does not vote, for this form or another."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Final

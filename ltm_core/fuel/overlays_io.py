@@ -1,7 +1,5 @@
 """Read vector layers onto the fuel grid: barriers, and burned areas with their dates."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Read the prior fuel map of a site: LANDFIRE GeoTIFFs, LCP and GeoTIFF landscapes, folders of single bands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -60,7 +58,7 @@ class PriorConfig(StrictModel):
         return {"path": value} if isinstance(value, str | Path) else value
 
     @model_validator(mode="after")
-    def _one_source(self) -> PriorConfig:
+    def _one_source(self) -> "PriorConfig":
         if self.path is None and not self.files():
             raise ValueError("give path, or files such as fbfm40 and cover")
         if self.path is None and self.fbfm40 is None and self.fbfm13 is None:

@@ -1,7 +1,5 @@
 """Configure the fuel map (the constants of evidence and decision), and apply those about regions of changed cells."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -3,8 +3,6 @@
 Where the surface has changed, the prior map no longer holds: such a cell starts from the code of what stands there now,
 and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Final
 

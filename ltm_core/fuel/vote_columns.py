@@ -5,8 +5,6 @@ frame saw, named after it. Where they are known: `confidence` of the labels and 
 `footprint_dm`, `sigma_along_dm`, `sigma_across_dm` in decimetres and `bearing_deg`, uint16. Maps count what these
 columns hold."""
 
-from __future__ import annotations
-
 import functools
 import re
 import zlib

@@ -1,8 +1,6 @@
 """Form the votes of a frame in one compiled pass over its pixels: each pixel's cell, and sums over each cell's
 pixels."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any, NamedTuple
 

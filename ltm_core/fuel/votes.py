@@ -1,7 +1,5 @@
 """Votes of one frame: the fuel cells that it sees, how well it sees them, and their pixels by label."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -49,7 +47,7 @@ class CellVisibility:
         along = np.hypot(self.footprint, self.sigma_along).astype(np.float64)
         return np.asarray(cell / np.hypot(cell, along) * (cell / np.hypot(cell, self.sigma_across)), np.float64)
 
-    def only(self, chosen: NDArray[Any]) -> CellVisibility:
+    def only(self, chosen: NDArray[Any]) -> "CellVisibility":
         return CellVisibility(*(column[chosen] for column in self.columns()))
 
     def __len__(self) -> int:
@@ -149,7 +147,7 @@ class CellVotes:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def strongest(self, limit: int) -> CellVotes:
+    def strongest(self, limit: int) -> "CellVotes":
         """Return the votes of at most `limit` cells with the highest weight as evidence: the best located ones with at
         least one pixel; in row-major order."""
         if len(self) <= limit:
@@ -158,7 +156,7 @@ class CellVotes:
         worth = pixels if self.visibility is None else pixels * self.visibility.placement(self.geometry.resolution)
         return self.only(np.sort(np.argsort(-worth, kind="stable")[:limit]))
 
-    def only(self, chosen: NDArray[Any]) -> CellVotes:
+    def only(self, chosen: NDArray[Any]) -> "CellVotes":
         """Return the votes of some of the cells: indices in rising order, or a mask (N,)."""
         return replace(
             self,

@@ -1,7 +1,5 @@
 """Project rays to pixels and pixels to rays: a pinhole camera with Brown-Conrady distortion."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -47,7 +45,7 @@ class Camera:
             raise CameraError(f"focal lengths must be positive pixels, got fx={self.fx}, fy={self.fy}")
 
     @classmethod
-    def from_fov(cls, width: int, height: int, hfov_deg: float) -> Camera:
+    def from_fov(cls, width: int, height: int, hfov_deg: float) -> "Camera":
         """Return an undistorted camera with square pixels whose image edges span `hfov_deg` horizontally."""
         if not 0 < hfov_deg < 180:
             raise CameraError(f"horizontal field of view must lie in (0, 180) degrees, got {hfov_deg}")
@@ -66,7 +64,7 @@ class Camera:
         right = math.atan((self.width - 0.5 - self.cx) / self.fx)
         return math.degrees(left + right)
 
-    def scaled(self, step: int) -> Camera:
+    def scaled(self, step: int) -> "Camera":
         """The camera of the image `image[::step, ::step]`: every step-th pixel, sampled at its centre."""
         if step < 1:
             raise CameraError(f"sampling step must be at least 1, got {step}")
@@ -74,13 +72,13 @@ class Camera:
         fx, fy, cx, cy = (v / step for v in (self.fx, self.fy, self.cx, self.cy))
         return Camera(width, height, fx, fy, cx, cy, self.distortion)
 
-    def resized(self, width: int, height: int) -> Camera:
+    def resized(self, width: int, height: int) -> "Camera":
         """Return the camera of an image of another size, in pixels, that shows the same, edge to edge."""
         across, down = width / self.width, height / self.height
         centre = (self.cx + 0.5) * across - 0.5, (self.cy + 0.5) * down - 0.5
         return Camera(width, height, self.fx * across, self.fy * down, *centre, self.distortion)
 
-    def zoomed(self, factor: float) -> Camera:
+    def zoomed(self, factor: float) -> "Camera":
         """Return the camera with `factor` times the focal length."""
         return replace(self, fx=self.fx * factor, fy=self.fy * factor)
 

@@ -2,8 +2,6 @@
 
 Compass north, true north and grid north are three things; this is the one place that converts between them."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Raster geometry: the only code that converts between row/column and x/y."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -87,11 +85,11 @@ class GridGeometry:
         inside: BoolArray = (row >= 0) & (row < self.height) & (col >= 0) & (col < self.width)
         return inside
 
-    def translated(self, dx: float, dy: float, crs: str | None = None) -> GridGeometry:
+    def translated(self, dx: float, dy: float, crs: str | None = None) -> "GridGeometry":
         """Return the same raster with its edges moved by (dx, dy) metres; `crs` names the frame that it is then in."""
         return GridGeometry(self.x_min + dx, self.y_max + dy, self.resolution, self.width, self.height, crs=crs)
 
-    def window(self, row: int, col: int, height: int, width: int) -> GridGeometry:
+    def window(self, row: int, col: int, height: int, width: int) -> "GridGeometry":
         """Return the part of the raster whose first cell is (row, col)."""
         corner = self.x_min + col * self.resolution, self.y_max - row * self.resolution
         return GridGeometry(*corner, self.resolution, width, height, self.crs)
@@ -99,7 +97,7 @@ class GridGeometry:
     @classmethod
     def snapped(
         cls, bounds: tuple[float, float, float, float], resolution: float, phase: float = 15.0, crs: str | None = None
-    ) -> GridGeometry:
+    ) -> "GridGeometry":
         """Return the smallest raster over `bounds` (x_min, y_min, x_max, y_max) whose cell edges lie at phase mod
         resolution.
 

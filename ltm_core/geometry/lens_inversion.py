@@ -1,7 +1,5 @@
 """Invert the distortion of a lens: from pixels to viewing rays. `Camera.rays` is the way in."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltm_core.base.kernels import helper, kernel

@@ -3,8 +3,6 @@
 SciPy's rotations are loaded on first use: they take 0.2 s and 20 MB, and most processes of a graph (recorder, uplink,
 health, the runner) read a site and rotate nothing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,7 +89,7 @@ class Pose:
     @classmethod
     def from_angles(
         cls, position: ArrayLike, azimuth_deg: float, pitch_deg: float = 0.0, roll_deg: float = 0.0
-    ) -> Pose:
+    ) -> "Pose":
         """Return a pose from angles in degrees.
 
         `azimuth_deg`: of the optical axis, clockwise from grid north. `pitch_deg`: up from the horizon. `roll_deg`:
@@ -125,7 +123,7 @@ class Pose:
         return math.degrees(azimuth) % 360.0, math.degrees(pitch), math.degrees(roll)
 
     @classmethod
-    def from_quaternion(cls, position: ArrayLike, quaternion: Sequence[float]) -> Pose:
+    def from_quaternion(cls, position: ArrayLike, quaternion: Sequence[float]) -> "Pose":
         """Return a pose from a quaternion (x, y, z, w), optical to map. Raises PoseError unless its norm is 1 within
         1e-3."""
         q = np.asarray(quaternion, np.float64)
@@ -140,11 +138,11 @@ class Pose:
         x, y, z, w = _rotations().from_matrix(self.rotation).as_quat(canonical=True)
         return float(x), float(y), float(z), float(w)
 
-    def after(self, outer: Pose) -> Pose:
+    def after(self, outer: "Pose") -> "Pose":
         """Return this pose in the frame in which `outer` is given: T_a_c of T_b_c (this) and T_a_b."""
         return Pose(outer.to_map(self.position), outer.rotation @ self.rotation)
 
-    def towards(self, other: Pose, share: float) -> Pose:
+    def towards(self, other: "Pose", share: float) -> "Pose":
         """Return the pose at a share [0, 1] of the way to another: linear in position, slerp in rotation."""
         turn = matrix_of_vector(share * vector_of_matrix(other.rotation @ self.rotation.T))
         return Pose(self.position + share * (other.position - self.position), turn @ self.rotation)

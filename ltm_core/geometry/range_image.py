@@ -1,7 +1,5 @@
 """Result of tracing an image: slant range for every pixel, and the depths, points and DEM cells derived from it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -40,7 +38,7 @@ class RangeImage:
         _require_shape("range", self.range, self.camera)
 
     @classmethod
-    def from_depth(cls, depth: Float32Array, camera: Camera, pose: Pose, bend: float = 0.0) -> RangeImage:
+    def from_depth(cls, depth: Float32Array, camera: Camera, pose: Pose, bend: float = 0.0) -> "RangeImage":
         """Return the range image of depths along the optical axis (REP-118), (H, W) metres; the inverse of
         `depth()`."""
         _require_shape("depth", depth, camera)

@@ -1,7 +1,5 @@
 """A zoom lens: the camera at each zoom, from a table of fields of view."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -71,7 +69,7 @@ class LensConfig(StrictModel):
                 )
         return self
 
-    def lens(self) -> ZoomLens:
+    def lens(self) -> "ZoomLens":
         return ZoomLens(
             self.width,
             self.height,
@@ -114,7 +112,7 @@ class ZoomLens:
             )
         return _camera(self, min(max(zoom, first), last))
 
-    def scaled(self, factors: Mapping[float, float], bends: Mapping[float, float] = {}) -> ZoomLens:
+    def scaled(self, factors: Mapping[float, float], bends: Mapping[float, float] = {}) -> "ZoomLens":
         """Return the lens with focal lengths multiplied by factors at some zooms, and `bends` added to k1 there,
         interpolated between these and constant beyond. The zooms of `factors` become rows of the table."""
         if not factors:

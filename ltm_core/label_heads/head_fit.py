@@ -3,8 +3,6 @@
 A sample is a pixel of known class with the network's scores and decoder maps. Photos of one site are in one group; of a
 single view, its areas are dealt into folds instead."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

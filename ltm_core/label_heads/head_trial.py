@@ -1,7 +1,5 @@
 """Train a label head and test it on other sites, on what it forgets elsewhere, and on its calibration."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

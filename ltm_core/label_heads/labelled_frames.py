@@ -3,8 +3,6 @@
 A set is a folder of images `NAME.png` or `NAME.jpg`, each with `NAME_labels.png` (uint8 ids), or with areas that a
 person named in the folder's `polygons.json`. If an image has both, the PNG is used."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

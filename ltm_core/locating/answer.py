@@ -1,7 +1,5 @@
 """State a location in the coordinates and words that people use, and find places of the map in photos."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

@@ -9,8 +9,6 @@ foot, or behind a crest the highest of the terrain's slopes from the camera to t
 the more, the farther that is above the foot's slope. Slopes of the place and of crests have errors by the terrain
 model's, the larger the nearer they are (`sight_kernels`)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

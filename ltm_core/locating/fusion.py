@@ -1,7 +1,5 @@
 """Fuse sightings on one raster of the map, from coarse to fine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

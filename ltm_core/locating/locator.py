@@ -11,8 +11,6 @@ exceeds that of none by `wrong_odds`; the answer is then the mixture of what the
 
 `misfit` is T = -2 log of S and of the densities at the best place, each over the greatest that it could have."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,7 +68,7 @@ class Posterior:
     probability: Float64Array
 
     @classmethod
-    def of_raster(cls, raster: Float64Array, geometry: GridGeometry) -> Posterior | None:
+    def of_raster(cls, raster: Float64Array, geometry: GridGeometry) -> "Posterior | None":
         """Return the posterior of densities (H, W), without cells below 1e-9 of the maximum; None if all are 0."""
         greatest = float(raster.max(initial=0.0))
         if not greatest > 0:

@@ -1,7 +1,5 @@
 """Regions marked in photos, and the settings of locating."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

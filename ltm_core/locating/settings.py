@@ -1,7 +1,5 @@
 """Configure what locating assumes."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from ltm_core.base.strict_model import Expert, StrictModel

@@ -1,7 +1,5 @@
 """Sample the terrain in a sector around a camera: heights along rays of the map, and what stands before what."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

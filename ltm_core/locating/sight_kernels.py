@@ -4,8 +4,6 @@ Smoke is first seen at the highest of several slopes: the place's own ground or 
 the crests farther before it (`far`), whose heights have errors of their own. The density of the greatest of independent
 normal variables is the sum of each one's, times the chance that all others are lower."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

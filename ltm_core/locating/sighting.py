@@ -1,7 +1,5 @@
 """Sighting: one mark in one image, the terrain around its direction, and the likelihood of places."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 A sighting joins the track that it agrees with best (`Locator.limit`). If it agrees with none but lies in the direction
 of one, it begins a track of its own, and its cameras count as disagreeing about it."""
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Draw fires over relief: arrival time, flame length, and their change by an update of the map."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

@@ -3,8 +3,6 @@
 The project's own scales are parts of viridis and cividis, which read the same to colour-blind eyes. Fuel models have
 LANDFIRE's colours, which do not: their names are written on the map."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -49,7 +47,7 @@ class Scale(Palette):
     bounds: tuple[float, ...]
 
     @classmethod
-    def of(cls, names: Sequence[str], bounds: Sequence[float], colormap: int, upwards: bool = True) -> Scale:
+    def of(cls, names: Sequence[str], bounds: Sequence[float], colormap: int, upwards: bool = True) -> "Scale":
         """Return the colours evenly from a colour map of OpenCV's, dark to bright or the other way."""
         colors = color_map(colormap)[np.linspace(12, 250, len(names)).astype(int)].tolist()
         return cls(tuple(names), tuple(map(tuple, colors if upwards else colors[::-1])), tuple(bounds))

@@ -1,7 +1,5 @@
 """Draw text and legends; colour ranges and errors on logarithmic scales; encode pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -124,7 +122,7 @@ class RangeScale:
             raise ImageError(f"colour scale needs 0 < near < far metres, got near={self.near}, far={self.far}")
 
     @classmethod
-    def of(cls, ranges: ArrayLike) -> RangeScale:
+    def of(cls, ranges: ArrayLike) -> "RangeScale":
         """Return the scale of the 0.5th to 99.5th percentile of finite ranges, rounded outwards to 1, 2 or 5."""
         values = np.asarray(ranges)
         values = values[np.isfinite(values) & (values > 0)]

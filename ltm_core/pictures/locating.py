@@ -1,7 +1,5 @@
 """Pictures of locations: the posterior and its ellipses over shaded relief; places drawn over a camera's picture."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

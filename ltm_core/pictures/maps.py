@@ -1,7 +1,5 @@
 """Draw terrain over shaded relief, and what every map has: cameras, outlines, scale bar and north arrow."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Draw depth, labels, masks and skylines over a photo, and put pictures on a sheet."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

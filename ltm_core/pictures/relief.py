@@ -1,7 +1,5 @@
 """Shaded relief and height tints of elevation rasters."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

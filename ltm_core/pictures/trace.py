@@ -1,7 +1,5 @@
 """Draw a traced photo, a fitted pose, the coverage of a viewshed and the cameras of a site."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Hold one camera image with its calibration and pose."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 The nodes `depth`, `segmentation` and `fuel_votes` are these steps with messages around them, and `ltm reprocess` runs
 the three in a row without a graph. A frame has the same votes, to the last bit, in both."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Fuse traced depth, photo and labels of a frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

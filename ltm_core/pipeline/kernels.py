@@ -1,7 +1,5 @@
 """Compile the kernels of each kind of node on small scenes, before its first frame needs them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

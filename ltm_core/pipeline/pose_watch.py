@@ -1,7 +1,5 @@
 """Detect a camera whose stated poses cannot belong to its images, by the skyline of its labels."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -1,7 +1,5 @@
 """Make the evidence map of a site's fuels, and the provenance of its exports."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 

@@ -1,8 +1,6 @@
 """Create the surface map of a site, the terrain that its cameras have confirmed, and the terrain for pose
 estimation."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Store the fuel map of a site and restore it after any stop; apply changes of the surface to it."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ to 90 mm at 35 mm: 2,223 calibrations of interchangeable lenses 0.033, 1,230 of 
 cameras 0.126 about -0.117, 8 of phones 0.035), because its lenses have a known maker. Lenses of fire-watch cameras are
 in no database; the surveyed webcam of Finse shifts corners by 15 %."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +34,7 @@ class LensPrior:
     centre: float
 
     @classmethod
-    def of(cls, kind: str, stated: Camera) -> LensPrior:
+    def of(cls, kind: str, stated: Camera) -> "LensPrior":
         """Return the prior of a kind of lens about its stated calibration. Raises PoseError for another kind."""
         if kind not in _KINDS:
             raise PoseError(f"lens:{kind} is not a kind of lens; give one of {', '.join(_KINDS)}")

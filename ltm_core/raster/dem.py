@@ -1,7 +1,5 @@
 """Hold a digital elevation model (DEM): read it from files of any format, and sample it bilinearly."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +47,7 @@ class StoredHeights:
     doubts: list[HeightsDoubt]
 
     @classmethod
-    def of(cls, source: Any, path: Path | str, given: str | None, ellipsoidal: bool = False) -> StoredHeights:
+    def of(cls, source: Any, path: Path | str, given: str | None, ellipsoidal: bool = False) -> "StoredHeights":
         """`ellipsoidal`: whether heights above the ellipsoid are allowed. Raises RasterError if the file has no heights
         in a known unit above sea level, or no CRS."""
         crs, vertical = _crs_of(source.crs, given, path, ellipsoidal)
@@ -219,12 +217,12 @@ class Dem:
         object.__setattr__(self, "elevation", elevation)
 
     @property
-    def levels(self) -> tuple[Dem, ...]:
+    def levels(self) -> "tuple[Dem, ...]":
         """Return the rasters that the terrain consists of, finest first: of a single one, itself (see `dem_stack`)."""
         return (self,)
 
     @classmethod
-    def open(cls, path: Path | str, crs: str | None = None) -> Dem:
+    def open(cls, path: Path | str, crs: str | None = None) -> "Dem":
         """Read the elevations of any raster that GDAL reads, of any numeric dtype, in metres, unknown ones as NaN.
 
         `crs`: the CRS of a raster that carries none; giving one that contradicts the file's is an error. Rows stored
@@ -248,7 +246,7 @@ class Dem:
             elevation = heights.read() if prepared is None else heights.judged(prepared)
             return cls(elevation, geometry, tuple(heights.doubts))
 
-    def in_frame(self, frame: SiteFrame) -> Dem:
+    def in_frame(self, frame: SiteFrame) -> "Dem":
         """Return the same DEM in a site's map frame (CRS minus origin). Raises RasterError where the CRSs differ."""
         crs = self.geometry.crs
         if not same_crs(crs, frame.crs):

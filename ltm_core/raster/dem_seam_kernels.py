@@ -1,7 +1,5 @@
 """Fill the holes and blend the border of a fine raster, for `dem_stack`."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

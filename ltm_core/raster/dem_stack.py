@@ -14,8 +14,6 @@ one, once, when a stack is made:
 * **The border**: within `BAND` coarse cells the fine heights give way to the coarser surface in proportion to the
   distance from the edge. The small step that may remain between two fine nodes is a wall: no ray slips through."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -91,7 +89,7 @@ class DemStack(Dem):
         object.__setattr__(self, "coarser", tuple(levels[1:]))
 
     @classmethod
-    def open(cls, path: Path | str, crs: str | None = None, *coarser: tuple[Path | str, str | None]) -> DemStack:
+    def open(cls, path: Path | str, crs: str | None = None, *coarser: tuple[Path | str, str | None]) -> "DemStack":
         """Open the finest raster as `Dem.open` does, and around it, out to REACH, the (path, CRS or None) of coarser
         ones. These may be in another CRS, in degrees too: they are warped, bilinearly, to that of the finest.
 
@@ -114,7 +112,7 @@ class DemStack(Dem):
         """Return all rasters, finest first."""
         return (Dem(self.elevation, self.geometry), *self.coarser)
 
-    def in_frame(self, frame: SiteFrame) -> DemStack:
+    def in_frame(self, frame: SiteFrame) -> "DemStack":
         """Return the same stack in a site's map frame; see `Dem.in_frame`."""
         return DemStack([level.in_frame(frame) for level in self.levels], self.doubts, fitted=True)
 

@@ -4,8 +4,6 @@ A GeoPackage is an SQLite file whose geometries are blobs: a header, then well-k
 2.1.3; OGC 06-103r4, clause 8). GDAL is not used for it: rasterio offers rasters only, and another GDAL beside it ends
 the process on damaged files."""
 
-from __future__ import annotations
-
 import math
 import sqlite3
 import struct

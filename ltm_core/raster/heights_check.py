@@ -3,8 +3,6 @@
 Every raster of heights passes here when it is opened, whatever the command, and whether it is the finest one, a coarser
 one or the surface. What cannot be right is a RasterError; what may be wrong is a `HeightsDoubt`."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass
@@ -66,7 +64,7 @@ class HeightsDoubt:
     text: str
     wrong: bool = False
 
-    def required(self) -> HeightsDoubt:
+    def required(self) -> "HeightsDoubt":
         """Return the doubt. Raises RasterError if the heights cannot be used."""
         if self.wrong:
             raise RasterError(self.text)

@@ -5,8 +5,6 @@ file, `<raster>.<state>.ltm-heights.npy`, holds the state of the raster: the ino
 them `ctime`, which no program can set. A prepared file of an owner who is neither this process's, nor the raster's, nor
 root counts as absent: users with access to the folder could replace the heights of a raster that they may not write."""
 
-from __future__ import annotations
-
 import contextlib
 import glob
 import os

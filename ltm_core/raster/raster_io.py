@@ -1,7 +1,5 @@
 """Open rasters of other programs for reading, and write GeoTIFF files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Score fuel maps and their changes against truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Score labels and depths against truth."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,10 +21,10 @@ class SegmentationScore:
     confusion: Int64Array
 
     @classmethod
-    def empty(cls, classes: int) -> SegmentationScore:
+    def empty(cls, classes: int) -> "SegmentationScore":
         return cls(np.zeros((classes, classes + 1), np.int64))
 
-    def plus(self, truth: UInt8Array, predicted: UInt8Array) -> SegmentationScore:
+    def plus(self, truth: UInt8Array, predicted: UInt8Array) -> "SegmentationScore":
         """Return the score with one more pair of label images (H, W). Raises ImageError if their shapes differ."""
         if truth.shape != predicted.shape:
             raise ImageError(f"labels of shape {predicted.shape} cannot be scored against truth of {truth.shape}")
@@ -119,10 +117,12 @@ class CalibrationScore:
     wrong: Float64Array
 
     @classmethod
-    def empty(cls) -> CalibrationScore:
+    def empty(cls) -> "CalibrationScore":
         return cls(np.zeros(256), np.zeros(256))
 
-    def plus(self, truth: UInt8Array, predicted: UInt8Array, confidence: UInt8Array, classes: int) -> CalibrationScore:
+    def plus(
+        self, truth: UInt8Array, predicted: UInt8Array, confidence: UInt8Array, classes: int
+    ) -> "CalibrationScore":
         """Add one image: labels (H, W) and confidence x 255. Raises ImageError if shapes differ."""
         if not truth.shape == predicted.shape == confidence.shape:
             raise ImageError(

@@ -1,7 +1,5 @@
 """Check the cameras of a site file before a run: position, view and masks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Open the networks and masks of a site's cameras: segmenters, scene filters, label errors."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

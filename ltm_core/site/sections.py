@@ -1,7 +1,5 @@
 """Sections of a site file, one typed class each: rasters, cameras, limits and nodes."""
 
-from __future__ import annotations
-
 import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal, Self

@@ -1,7 +1,5 @@
 """Typed configuration of one site. Defaults are defined here and in the sections, and nowhere else."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -3,8 +3,6 @@
 What the graph's nodes would reject one after the other, again at each start, is found here at once, by the code that
 they read it with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Read site files, and change the sections of a camera in a site file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

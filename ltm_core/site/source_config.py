@@ -1,7 +1,5 @@
 """Configure the connection to a camera: the sections `source` and `ptz` of a camera in a site file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal, Self
 

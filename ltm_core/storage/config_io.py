@@ -1,7 +1,5 @@
 """Read YAML, text and NumPy files within bounds, and check them against typed models."""
 
-from __future__ import annotations
-
 import contextlib
 import tokenize
 import zipfile

@@ -1,7 +1,5 @@
 """Check disk space and output paths before and while files are written."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator

@@ -3,8 +3,6 @@
 Decoders fill what a truncated image lacks with grey or green, which would be labelled built or water and vote. So each
 image is checked here; of JPEGs, libjpeg's own warnings say it."""
 
-from __future__ import annotations
-
 import re
 import struct
 import warnings

@@ -5,8 +5,6 @@ power cut: what `commit` has returned from is kept. Frames may be committed befo
 their payloads wait in the file, as in a redo log, so that a frame costs a small write, and the tiles are written now
 and then."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sqlite3
@@ -76,7 +74,7 @@ class TileStore:
         """Description of a full disk at the last commit, in words."""
 
     @classmethod
-    def open(cls, path: Path | str, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
+    def open(cls, path: Path | str, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> "TileStore":
         """Open the store at `path`, created if missing, for exclusive writing by this process.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
@@ -103,7 +101,7 @@ class TileStore:
             raise
 
     @classmethod
-    def open_read_only(cls, path: Path | str, kind: str) -> TileStore:
+    def open_read_only(cls, path: Path | str, kind: str) -> "TileStore":
         """Open a store of that kind read-only, with its own schema, also while another process writes it.
 
         Raises ConfigError and StoreError as `open` does."""
@@ -115,7 +113,7 @@ class TileStore:
         return cls(database, schema, str(path), None)
 
     @classmethod
-    def in_memory(cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> TileStore:
+    def in_memory(cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> "TileStore":
         """Return a store in memory."""
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         database.executescript(TABLES)

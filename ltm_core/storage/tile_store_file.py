@@ -1,7 +1,5 @@
 """Create, lock, open and check the SQLite file of a tile store, and record which frames it has counted."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """Schema of a tile store, the records of a transaction, and the serialisation of arrays."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -83,7 +81,7 @@ class StoreSchema:
         return json.dumps(content | {"fields": fields, "terms": self.terms})
 
     @classmethod
-    def from_description(cls, text: str, place: str) -> StoreSchema:
+    def from_description(cls, text: str, place: str) -> "StoreSchema":
         """Return the schema from `described`. Raises ConfigError on any other text; `place` is its place."""
         try:
             content = _Description.model_validate_json(text)
@@ -98,7 +96,7 @@ class StoreSchema:
             raise ConfigError(f"{place}: its description states tiles of {size} bytes; the limit is {LARGEST_TILE}")
         return schema
 
-    def differences(self, other: StoreSchema) -> str:
+    def differences(self, other: "StoreSchema") -> str:
         """Return the differences of `other`; empty if both are the same."""
         mine, theirs = (json.loads(schema.described()) for schema in (self, other))
         return "; ".join(f"{key} is {theirs[key]}, here {mine[key]}" for key in mine if theirs[key] != mine[key])
@@ -169,7 +167,7 @@ class CellChanges:
         return compressed(table.tobytes())
 
     @classmethod
-    def unpack(cls, layer: str, stamp_ns: int, content: bytes, shape: tuple[int, int]) -> CellChanges:
+    def unpack(cls, layer: str, stamp_ns: int, content: bytes, shape: tuple[int, int]) -> "CellChanges":
         """Return the changes from bytes; `shape`: of the grid. Raises ConfigError for damaged bytes or cells outside
         the grid."""
         whole = decompressed(content, prod(shape) * _CHANGE.itemsize)

@@ -2,8 +2,6 @@
 
 A *place* numbers a cell as the tiles do: tile x TILE^2 + the cell in its tile, both in row-major order."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -46,7 +44,7 @@ class TileCells(NamedTuple):
     high: UInt8Array
 
     @classmethod
-    def empty(cls, slots: int) -> TileCells:
+    def empty(cls, slots: int) -> "TileCells":
         """Return cells with arbitrary content; memory is allocated on use."""
         return cls(np.empty((slots, CELLS), CELL), np.empty((slots, CELLS), np.uint8))
 
@@ -81,7 +79,7 @@ class FrameSums(NamedTuple):
     at: Int32Array
 
     @classmethod
-    def empty(cls, most: int, tiles: int) -> FrameSums:
+    def empty(cls, most: int, tiles: int) -> "FrameSums":
         """Return sums for at most `most` cells of a grid of `tiles` tiles; memory is allocated on use."""
         numbers, at = np.full(tiles, -1, np.int32), np.zeros((tiles, CELLS), np.int32)
         return cls(np.zeros(2, np.int64), np.empty(most, SUM), np.empty(tiles, np.int32), numbers, at)

@@ -5,8 +5,6 @@ estimate, until it is contradicted itself or independent views confirm it; then 
 weight in a cell grows with time (one look per hour), because its observations shortly after each other repeat its
 errors; the part of the variance that it always repeats falls only with the number of cameras (docs/how/surface.md)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Detect surface change: cells where independent views and neighbours agree that the surface has changed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -166,11 +164,11 @@ class Changed:
     shift: Float32Array
 
     @classmethod
-    def none(cls) -> Changed:
+    def none(cls) -> "Changed":
         cells, kinds = np.empty(0, np.int32), np.empty(0, np.uint8)
         return cls(cells, cells, kinds, kinds, np.empty(0, np.float32))
 
-    def joined(self, other: Changed) -> Changed:
+    def joined(self, other: "Changed") -> "Changed":
         return Changed(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
 

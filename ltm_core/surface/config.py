@@ -1,7 +1,5 @@
 """Configure the updated terrain of a site, and the errors of poses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 All other cells of a terrain stay as they were given, to the bit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +46,7 @@ class ConfirmedSurface:
         """Return the cells whose bare earth has changed."""
         return int(np.isfinite(self.ground).sum())
 
-    def differs_from(self, other: ConfirmedSurface, least: float) -> bool:
+    def differs_from(self, other: "ConfirmedSurface", least: float) -> bool:
         """Return whether other cells have changed, or one has moved by more than `least` metres."""
         if len(self) != len(other) or not np.array_equal(self._places(), other._places()):
             return True
@@ -134,7 +132,7 @@ class SurfaceVersion(StrictModel):
     lowered: int = Field(ge=0)
 
     @model_validator(mode="after")
-    def _named_by_content(self) -> SurfaceVersion:
+    def _named_by_content(self) -> "SurfaceVersion":
         if not self.digest.startswith(self.version):
             raise ValueError(f"version {self.version} is not the start of its digest {self.digest}")
         return self

@@ -2,8 +2,6 @@
 
 What stands above the reference is few cells: each is projected into the image."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Make the layers of a surface map as rasters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Convert depth images to observations of surface heights."""
 
-from __future__ import annotations
-
 import math
 import mmap
 from dataclasses import dataclass
@@ -116,7 +114,7 @@ class DepthFrame:
         source: str,
         covariance: Float64Array | None = None,
         labels: UInt8Array | None = None,
-    ) -> DepthFrame:
+    ) -> "DepthFrame":
         """Return the frame of a measurement in a photo of `camera`, NaN where nothing was measured, and its labels:
         each of its own size, edge to edge over the photo. If nothing was measured, the pose may be suspected, and
         labels are not used."""

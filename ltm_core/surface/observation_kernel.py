@@ -7,8 +7,6 @@
 
 The relative variance is that of a change of the whole stand (docs/how/surface.md)."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -2,8 +2,6 @@
 
 None of that view depends on the image, so it is kept, and a camera that stands still pays for it once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -222,7 +220,7 @@ class Reference:
         return Dem(self.surface, self.geometry)
 
     @classmethod
-    def of(cls, bare: Dem, surface: Dem | None = None, resolution: float | None = None) -> Reference:
+    def of(cls, bare: Dem, surface: Dem | None = None, resolution: float | None = None) -> "Reference":
         """Return both hypotheses at the cell centres of a grid over `bare` with cells of `resolution` (default: its
         own); bare earth where the surface raster is unknown or below it. Raises ConfigError if the grid has too many
         cells."""

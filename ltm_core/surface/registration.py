@@ -5,8 +5,6 @@ camera by w.(p x n) / n_z (n: normal of the surface). The turn is the maximum of
 residuals of open ground, and the pose's covariance as the prior. Canopy takes no part, because its growth over a whole
 view would look like a turned camera."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Confirm cells of a surface map on whose change independent views agree, and write its layers."""
 
-from __future__ import annotations
-
 import json
 from datetime import UTC, datetime
 from pathlib import Path

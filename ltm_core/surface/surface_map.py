@@ -1,7 +1,5 @@
 """The surface map of a site, updated by posed depth images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

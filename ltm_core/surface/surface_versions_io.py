@@ -3,8 +3,6 @@
 A file is written once; the manifest, which names the version in use, is replaced in one step afterwards, so readers
 find the previous version or the new one. Only the node `terrain` writes."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

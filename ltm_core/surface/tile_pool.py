@@ -1,7 +1,5 @@
 """Bounded pool of the surface map's tiles in memory; the other tiles wait in the tile store."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
 from typing import Any

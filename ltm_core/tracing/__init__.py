@@ -3,8 +3,6 @@
 `TerrainTracer` is the tracer; `baselines.march` keeps the paper's own fixed-step march as a baseline;
 `baselines.reference` is a slow, independent float64 tracer that tests hold the fast one against."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from ltm_core.geometry.range_image import RangeImage

@@ -2,8 +2,6 @@
 
 Grid units, as everywhere in the kernels (see `pyramid_traversal`)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ to a hole, is handed to the pyramid (`pyramid_traversal.hit_between`). A ray wit
 
 A block of neighbouring columns is one flat float64 array, in which each field has `COLUMNS` places."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

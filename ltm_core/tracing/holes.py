@@ -10,8 +10,6 @@ within the hole; and besides
 
 Holes are held as runs of NaN nodes along rows with their ceilings; a filled raster would double a DEM's memory."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -11,8 +11,6 @@ wedge lists each strip in which the highest tangent so far is exceeded, with the
 the first entry whose tangent reaches a ray's slope names the strip before which the ray hits nothing; where there is
 none, it hits nothing at all. Tangents are rounded up and bound everything between the edges of the wedge."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

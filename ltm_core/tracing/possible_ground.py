@@ -1,7 +1,5 @@
 """Bound the ground height that a DEM does not know: in its holes, over its edge and beyond it."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from ltm_core.base.strict_model import Expert, StrictModel

@@ -8,8 +8,6 @@ which adds a twelfth to the memory of the elevations.
 A bound is the highest node, or ceiling of a node in a hole (see `holes`). Where the raster has outer holes, it is known
 besides of each block whether its cells belong to them: a camera outside the DEM sees through those."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

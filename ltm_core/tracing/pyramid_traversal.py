@@ -9,8 +9,6 @@ the next cell follows from that integer, never from a nudged position, so no cel
 
 What ends a ray is defined in `tracer`; `baselines.reference` computes the same by brute force."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A single raster is one stage. In a stack each raster lies within the next coarse
 one interval, which contains that over raster k - 1: it goes from the raster that the camera stands over inwards to the
 finest, and from there outwards to the coarsest, and in between leaves each one out. All rays take the same order."""
 
-from __future__ import annotations
-
 import threading
 from typing import NamedTuple
 from weakref import WeakKeyDictionary

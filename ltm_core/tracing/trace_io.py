@@ -1,7 +1,5 @@
 """Read the pose file of a photo, and write the files of `ltm trace`."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Mapping, Sequence

@@ -15,8 +15,6 @@ bilinear surface, and earth curvature and refraction bend it (docs/how/tracing.m
 `trace` uses the horizon profile of the camera's position (`horizon_profile`, `column_sweep`), which is kept; rays where
 a profile cannot help use the maximum pyramid (`pyramid_traversal`). Both give the same answer for every ray."""
 
-from __future__ import annotations
-
 import threading
 import weakref
 from collections import OrderedDict

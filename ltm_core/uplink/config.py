@@ -1,7 +1,5 @@
 """Configure the link between towers and the map of their region; read region.yaml."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Self
 

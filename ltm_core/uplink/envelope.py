@@ -6,8 +6,6 @@ Integers are big-endian, the header is JSON, the certificate X.509 DER. The leng
 anything is decoded. The signature is over all before it, so that neither a broker nor a file in between can change what
 a tower has said."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
@@ -88,7 +86,7 @@ class VotesGrid(StrictModel):
     height: int = Field(ge=1, le=1 << 20)
 
     @classmethod
-    def of(cls, geometry: GridGeometry, origin: tuple[float, float]) -> VotesGrid:
+    def of(cls, geometry: GridGeometry, origin: tuple[float, float]) -> "VotesGrid":
         """Return the grid of `geometry`, in its CRS."""
         edges = {name: getattr(geometry, name) for name in ("x_min", "y_max", "resolution", "width", "height")}
         return cls(crs=str(geometry.crs), origin=origin, **edges)

@@ -3,8 +3,6 @@
 A frame that `put` has returned from is in the file, also after a power cut, and stays until it is acknowledged, is too
 old, or is thinned: every other frame of each view in the older half goes, so that the first of each view stays."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Transfer votes from the fuel grid of a tower's site to that of its region, which may have another origin or CRS."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Final

@@ -1,7 +1,5 @@
 """Compute the rays that meet map points, and the ground patch that a pixel covers."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

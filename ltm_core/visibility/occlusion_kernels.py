@@ -6,8 +6,6 @@ slope that clears all ground before a point is the supremum of f; in one cell h 
 maximum at an end of the crossing or where its derivative vanishes, in closed form. A block of the maximum pyramid is
 stepped over when ground as high as its bound, anywhere in it, would not raise the supremum."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Project map points into an image and test whether terrain hides them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

@@ -1,7 +1,5 @@
 """Viewshed of a network of cameras: how many see each ground cell, how finely, and from what height above ground."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 Later areas lie over earlier ones. The hole of a region becomes part of its outline, by a cut that leads to it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from itertools import pairwise

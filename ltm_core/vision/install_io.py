@@ -1,7 +1,5 @@
 """Find, download and install networks (`ltm models add`): files, recipes, and the user's folder of models."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -68,7 +66,7 @@ class RecipeFile(StrictModel):
 
     @classmethod
     @cache
-    def load(cls) -> RecipeFile:
+    def load(cls) -> "RecipeFile":
         """Read the file that ships. Raises ConfigError."""
         return load_yaml(config_path("network_recipes.yaml"), cls)
 

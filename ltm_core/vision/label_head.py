@@ -4,8 +4,6 @@ A network's maps tell more apart than its own scores do. A label head adds to th
 b_k + sum over maps m of w_mk . f_m, f_m being the map's vector there, interpolated bilinearly; as interpolation and the
 product commute, each map's part is formed at its own size and enlarged."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
@@ -84,7 +82,7 @@ class LabelHeadFile(StrictModel):
     calibration: Calibration | None = None
 
     @model_validator(mode="after")
-    def _shapes_agree(self) -> LabelHeadFile:
+    def _shapes_agree(self) -> "LabelHeadFile":
         count = len(self.classes)
         if self.name == SHIPPED_LABEL_HEAD:
             raise ValueError(f"name: {SHIPPED_LABEL_HEAD!r} is the network's own label head; choose another")

@@ -10,8 +10,6 @@
 - Agreement: a label is right more often than its probability says where the pixels around it have the same label.
   Patches within another class, and edges between classes, are what label heads get wrong."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 
@@ -132,7 +130,7 @@ class Calibration(StrictModel):
     ece: dict[str, float] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _rows_are_distributions(self) -> Calibration:
+    def _rows_are_distributions(self) -> "Calibration":
         count = len(self.classes)
         if len(self.confusion) != count or any(len(row) != count for row in self.confusion):
             raise ValueError(f"confusion must have {count} rows of {count} values, one for each of classes")

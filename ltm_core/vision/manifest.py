@@ -1,7 +1,5 @@
 """Read model manifests: the file of a network, its input and output tensors, and the labels of its classes."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -90,7 +88,7 @@ class OutputSpec(StrictModel):
         return self.kind in DEPTH_KINDS
 
     @model_validator(mode="after")
-    def _keys_belong_to_the_kind(self) -> OutputSpec:
+    def _keys_belong_to_the_kind(self) -> "OutputSpec":
         known = {"offsets": "logits", "redness": "logits", "queries": "masks"}
         known |= dict.fromkeys(("inverse", "canonical_focal_px", "focal", "metre_scale"), "metric")
         for key, kind in known.items():
@@ -148,7 +146,7 @@ class NetworkManifest(StrictModel):
     _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _parts_fit_together(self) -> NetworkManifest:
+    def _parts_fit_together(self) -> "NetworkManifest":
         out, text = self.output, self.text
         labels = text is None and not out.is_depth
         repeated = sorted({name for name in self.classes if self.classes.count(name) > 1})
@@ -180,7 +178,7 @@ class NetworkManifest(StrictModel):
         return self
 
     @classmethod
-    def load(cls, path: Path) -> NetworkManifest:
+    def load(cls, path: Path) -> "NetworkManifest":
         """Read a manifest. Raises ModelError naming the file and each key at fault."""
         try:
             manifest = load_yaml(path, cls)
@@ -190,7 +188,7 @@ class NetworkManifest(StrictModel):
         return manifest
 
     @classmethod
-    def of(cls, content: dict[str, Any], place: str) -> NetworkManifest:
+    def of(cls, content: dict[str, Any], place: str) -> "NetworkManifest":
         """Return a manifest that has no file yet; its files have absolute paths. `place` is named in the ModelError."""
         try:
             return checked(cls, content, place)
@@ -198,7 +196,7 @@ class NetworkManifest(StrictModel):
             raise ModelError(str(reason)) from reason
 
     @classmethod
-    def find(cls, path_or_name: str | Path | NetworkManifest) -> NetworkManifest:
+    def find(cls, path_or_name: "str | Path | NetworkManifest") -> "NetworkManifest":
         """Read a manifest by path (`*.yaml`) or by its name in `config/models` or among those added."""
         if isinstance(path_or_name, NetworkManifest):
             return path_or_name
@@ -211,7 +209,7 @@ class NetworkManifest(StrictModel):
         names = ", ".join([*shipped_names(), *added_names()]) or "none"
         raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
 
-    def require(self, depth: bool) -> NetworkManifest:
+    def require(self, depth: bool) -> "NetworkManifest":
         """Return the manifest if it is of a depth network (`depth`) or of a label network. Raises ModelError."""
         if self.output.is_depth == depth:
             return self
@@ -221,7 +219,7 @@ class NetworkManifest(StrictModel):
             f"{'depth' if depth else 'label'} network here"
         )
 
-    def serving(self, head: str) -> NetworkManifest:
+    def serving(self, head: str) -> "NetworkManifest":
         """Return the network used by a camera with this label head: itself, or the network of its heads (`heads_of`):
         one network may label best, and the maps of another train the best heads. Raises ModelError if it is missing."""
         return NetworkManifest.find(self.heads_of) if self.heads_of and head != SHIPPED_LABEL_HEAD else self

@@ -1,7 +1,5 @@
 """Configure the masks of a camera: a PNG or polygons, for all views or for one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -6,8 +6,6 @@ piece of sky can look alike; over images in other light the hood alone keeps its
 A caption is a row of letters along the upper or lower edge in all images. The text changes with the time, the strip
 does not. The image above and below it must be smooth: over the texture of near ground no caption is proposed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

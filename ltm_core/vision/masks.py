@@ -4,8 +4,6 @@ What stands still before the lens of a turning camera, its own mast or a roof, l
 in one view holds where the camera looks there again, with the lens as wide; anywhere else it would hide what is seen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -40,7 +38,7 @@ class CameraMask:
             raise ConfigError(f"{self.place}: the mask hides the whole image; it may be inverted (non-zero is masked)")
 
     @classmethod
-    def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> CameraMask:
+    def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> "CameraMask":
         """Return the mask of polygons. Raises ConfigError, also for a polygon outside an image of this size."""
         drawn = np.zeros((height, width), np.uint8)
         for number, polygon in enumerate(polygons):

@@ -1,7 +1,5 @@
 """Turn a photo and its camera into the tensors of a network, and the network's pixels back into the photo's view."""
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
@@ -70,7 +68,7 @@ class InputSpec(StrictModel):
         return std
 
     @model_validator(mode="after")
-    def _bytes_stay_bytes(self) -> InputSpec:
+    def _bytes_stay_bytes(self) -> "InputSpec":
         if self.dtype == "uint8" and (self.scale != 1.0 or any(self.mean) or set(self.std) != {1.0}):
             raise ValueError("scale, mean and std belong to float inputs; remove them for dtype uint8")
         return self

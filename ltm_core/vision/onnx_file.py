@@ -1,7 +1,5 @@
 """Find the external weights of an ONNX file and compute the digest that covers them."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Iterable
@@ -29,7 +27,7 @@ class NetworkFile:
     digest: str
 
     @classmethod
-    def read(cls, path: Path) -> NetworkFile:
+    def read(cls, path: Path) -> "NetworkFile":
         """Read an ONNX file. A file of another format has no weights; ONNX Runtime rejects it later. Raises ModelError
         if it cannot be read, or if weights are missing or outside its folder."""
         try:

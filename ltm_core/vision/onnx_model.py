@@ -3,8 +3,6 @@
 A file may give labels and depth from one encoder, which takes most of its time. The first caller with an image runs all
 outputs that callers of this process use; the others get theirs when they come with the same image."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence

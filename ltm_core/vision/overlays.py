@@ -3,8 +3,6 @@
 A bar has one background colour, letters or not, and ends in a straight sharp step over the whole width. A dark slope,
 a night sky or white fog has the one colour, but no such step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

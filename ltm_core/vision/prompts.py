@@ -3,8 +3,6 @@
 Prompts become part of the manifest, as the words of its text file or as its input, so that all that follows (labels,
 their digest, checks) is as for any other network."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

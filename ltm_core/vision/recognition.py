@@ -3,8 +3,6 @@
 What a user states counts before what a recipe states (`config/network_recipes.yaml`), and this before what is
 determined here. What nothing determines is listed in one error, with the options to state it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Reduce photos for networks, and enlarge class probabilities to labels of the photo's size."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

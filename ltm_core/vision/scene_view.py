@@ -1,7 +1,5 @@
 """Decide which part of a camera's image shows the landscape, for labels, depth, poses and votes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

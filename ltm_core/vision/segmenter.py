@@ -1,7 +1,5 @@
 """Segment photos of any size into label images with the network of a manifest."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +81,7 @@ class Segmenter:
         labels: LabelSet | None = None,
         head: str = SHIPPED_LABEL_HEAD,
         heads: Path | None = None,
-    ) -> Segmenter:
+    ) -> "Segmenter":
         """Open a segmenter by its manifest's path, or the name of one in `config/models`, with a label head by its name
         or path.
 

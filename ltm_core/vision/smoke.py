@@ -9,8 +9,6 @@ Images of another view, or of another light, do not agree with the present one a
 no smoke is reported.
 The constants were set on pairs of photographs of two towers, one of them with smoke before land (docs/cameras.md)."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, Self
@@ -73,7 +71,7 @@ class _SmokeFrame:
         """Return (h, w) bool land."""
         return np.unpackbits(self.packed_land, count=self.grey.size).view(np.bool_).reshape(self.grey.shape)
 
-    def may_be_view_of(self, other: _SmokeFrame) -> bool:
+    def may_be_view_of(self, other: "_SmokeFrame") -> bool:
         """Return whether both may be of one view: a first check, that of `_compare` is the one that counts."""
         if self.grey.shape != other.grey.shape:
             return False

@@ -7,8 +7,6 @@ few milliseconds at most.
 The constants were chosen on half of a set of mountain photos, as they are and spoilt on purpose, and on renderings;
 `ltm-lab eval usable` scores them on others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any

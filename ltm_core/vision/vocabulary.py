@@ -1,7 +1,5 @@
 """Read words: the labels that names of classes stand for (`config/vocabulary.yaml`), and embeddings of words."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +22,7 @@ class Vocabulary(StrictModel):
     synonyms: dict[str, tuple[str, ...]]
 
     @classmethod
-    def load(cls, path: Path | None = None) -> Vocabulary:
+    def load(cls, path: Path | None = None) -> "Vocabulary":
         """Read a vocabulary file, by default the one that ships. Raises ConfigError, also for a word of two labels."""
         path = config_path("vocabulary.yaml") if path is None else path
         vocabulary = load_yaml(path, cls)

@@ -1,7 +1,5 @@
 """Measure how much faster two processes reprocess an archive than one, after kernels and networks are loaded."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Reprocess a simulated month in several ways, and measure what a sample of its frames costs the map."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

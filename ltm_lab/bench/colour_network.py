@@ -4,8 +4,6 @@ The score of a class depends on the distance of a pixel's colour, averaged over 
 class. As with a real network, its errors follow light and haze.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path

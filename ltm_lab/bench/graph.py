@@ -4,8 +4,6 @@ Measures how many frames are finished and how many are shed, the latency to the 
 by process, and the cost of an idle graph.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """Simulated cameras of the graph benchmark, all in one process of their own, and a listener to the fuel map."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Sequence
@@ -70,7 +68,7 @@ class CameraSender:
 class _Cameras:
     """The cameras in the sending process."""
 
-    _running: _Cameras
+    _running: "_Cameras"
 
     def __init__(self, folder: Path, cameras: Sequence[str]) -> None:
         self._frames = {

@@ -1,7 +1,5 @@
 """Write the site of the graph benchmark: cameras that send the frames of the demo's towers."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path

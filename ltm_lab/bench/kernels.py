@@ -1,7 +1,5 @@
 """Measure the processor time that the kernels of each kind of node take to compile."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

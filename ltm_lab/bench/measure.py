@@ -1,7 +1,5 @@
 """Measure processor time, wall time and memory of a call, and describe the machine that ran it."""
 
-from __future__ import annotations
-
 import os
 import platform
 import resource
@@ -26,7 +24,7 @@ class Cost:
     cpu_ms: float
     wall_ms: float
 
-    def scaled(self, factor: float) -> Cost:
+    def scaled(self, factor: float) -> "Cost":
         """Return the cost of `factor` times the work."""
         return Cost(self.cpu_ms * factor, self.wall_ms * factor)
 

@@ -1,7 +1,5 @@
 """Measure the peak memory of whole commands on a large DEM, each in a process of its own."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO

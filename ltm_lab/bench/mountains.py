@@ -4,8 +4,6 @@ Ridged multifractal of gradient noise (Musgrave, in Ebert et al., Texturing & Mo
 endless: a larger raster holds more mountains of the same size, so cost grows only with what a camera can see.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ The rays of the peers are made and rotated beforehand, which is not counted; our
 mesh peers trace two triangles per cell and a flat earth.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Read what processes use from /proc: memory, processor time, descriptors and threads."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The images are drawn, not rendered: the ground has the colour of its plants, lit
 distance. Terrain, plants and a prior map that is partly wrong are those of the fuel map's trials.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The relay passes IP packets between two tun devices, as netem does in a kernel that has it. Needs root.
 """
 
-from __future__ import annotations
-
 import ctypes
 import fcntl
 import heapq

@@ -4,8 +4,6 @@ Ours is timed in three states: `cold`, from a position that no camera had before
 position; and `still`, the same camera and pose again.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import tempfile

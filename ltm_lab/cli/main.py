@@ -1,7 +1,5 @@
 """The command `ltm-lab`. Commands import what they need when they run."""
 
-from __future__ import annotations
-
 import typer
 
 from ltm_lab.cli.bench import bench

@@ -1,7 +1,5 @@
 """`ltm-lab simulate`: renders a scenario to images with truth."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any

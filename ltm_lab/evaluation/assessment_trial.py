@@ -3,8 +3,6 @@
 The maps are a rendered one (prior, map and true life forms) and drawn ones of clustered classes with known errors. The
 truth of an interval is what the interpreter would answer in a census of the map."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final

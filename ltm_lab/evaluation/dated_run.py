@@ -1,9 +1,8 @@
 """Find a recorded run with its truth, which a simulated site may have of several dates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.site.site_io import load_site
@@ -17,7 +16,7 @@ class DatedRun(Recorded):
     surfaces: tuple[Path | None, Path | None] = (None, None)
 
     @classmethod
-    def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None, date: str | None = None) -> DatedRun:
+    def find(cls, bag: Path, site: Path | None = None, truth: Path | None = None, date: str | None = None) -> Self:
         """Find the site, as given or as `site_of`, and its truth: below the site's folder, in `truth/DATE/` if it has
         several dates. Raises RecordingError without a site or date, ConfigError for an invalid site."""
         path = site or site_of(bag)

@@ -1,7 +1,5 @@
 """`ltm-lab eval fuel BAG`: score the fuel map of a recording beside the majority vote and the prior."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

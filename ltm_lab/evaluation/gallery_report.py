@@ -1,7 +1,5 @@
 """Writes the gallery of real photos: a page, and a sheet of pictures for each photo, all of one size."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Makes of the frames of a simulated walk what a phone would have stored: photos, a sensor recording, and the truth."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path

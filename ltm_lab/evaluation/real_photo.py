@@ -3,8 +3,6 @@
 For each control point, it measures the distance between the surveyed point and the point that the graph traced for its
 pixel."""
 
-from __future__ import annotations
-
 import csv
 import time
 from collections.abc import Callable

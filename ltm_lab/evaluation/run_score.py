@@ -1,7 +1,5 @@
 """Scores a recorded run as a whole against truth: depth, labels, skyline, fuel cells, terrain, latency."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Write the report of `ltm-lab eval BAG --report`: scores, and pictures of labels, depth and fuel beside truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

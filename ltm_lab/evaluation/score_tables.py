@@ -1,7 +1,5 @@
 """Tables of a bag's scores, for the terminal and for the report, and as JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Converts the frames of `ltm-lab simulate` to a recording for the graph, with truth on topics of its own."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scores the surface changes that a recorded run found against the true surfaces of the dates."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 A scene is written as a site, the messages of its two towers are fed to the graph's own handlers, and the traced depth
 before and after the confirmation is scored and drawn."""
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -195,7 +193,7 @@ def score_update(
 
 def update_figure(
     scene: HillsideScene, frames: Sequence[DepthFrame], depths: Mapping[tuple[str, int], tuple[str, Float32Array]]
-) -> Figure:
+) -> "Figure":
     """Draw the true depth of the first camera's last frame, and the errors of its depth as given and as traced."""
     frame = next(one for one in reversed(frames) if one.source == frames[0].source)
     true, given = (TerrainTracer(dem).trace(frame.camera, frame.pose).depth() for dem in (scene.true_now, scene.given))

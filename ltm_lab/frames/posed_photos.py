@@ -1,7 +1,5 @@
 """Read photos with their views: of a recording as the graph joins them, or of a folder by the site's cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The frames of a recording that carry truth, as core types."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reads the frames of a folder of `ltm-lab simulate` with their truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property

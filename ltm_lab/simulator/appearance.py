@@ -1,7 +1,5 @@
 """Linear reflectances of plants and ground of a southern-Californian hillside, by season."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 

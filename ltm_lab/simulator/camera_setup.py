@@ -1,7 +1,5 @@
 """Typed configuration of a scenario's cameras: lens and sensor, masts, patrol rounds, errors of their instruments."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -34,7 +32,7 @@ class PatrolConfig(Strict):
         return [self.start_s + r * every + k * self.interval_s for r in range(self.rounds) for k in range(stops)]
 
     @model_validator(mode="after")
-    def _fits(self) -> PatrolConfig:
+    def _fits(self) -> "PatrolConfig":
         shortest = (len(self.azimuth_deg) - 1) * self.interval_s
         if self.every_s is not None and self.every_s <= shortest:
             raise ValueError(

@@ -1,7 +1,5 @@
 """Canopy height above ground, computed from the same triangles that are rendered."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Typed changes of a site between its dates (fire, felling, growth, landslide, ...), each with a mask and a time."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -29,7 +27,7 @@ class MaskConfig(Strict):
     ragged: float = Field(10.0, ge=0)
 
     @model_validator(mode="after")
-    def _one_shape(self) -> MaskConfig:
+    def _one_shape(self) -> "MaskConfig":
         given = [n for n in ("polygon", "circle", "box") if getattr(self, n) is not None]
         if len(given) != 1:
             raise ValueError(f"give one of polygon, circle, box; got {' and '.join(given) or 'none'}")

@@ -5,8 +5,6 @@ diffuse, and slopes above the angle of repose fail towards their lower neighbour
 connected drainage net.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

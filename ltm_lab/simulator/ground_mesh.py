@@ -4,8 +4,6 @@ that ground is visible from an eye point.
 Earth curvature and refraction are in the shape: everything sinks by `bend` d^2 with its distance d from `center`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

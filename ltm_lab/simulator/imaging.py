@@ -1,7 +1,5 @@
 """Turns rendered radiance into a photograph: smoke, mirrored sky, haze, exposure, lens fall-off, sensor noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

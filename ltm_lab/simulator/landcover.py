@@ -1,7 +1,5 @@
 """Land cover of a synthetic site: the class map that says where which vegetation stands, and its shares over cells."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -42,7 +40,7 @@ class Stand:
     touched: UInt8Array
 
     @staticmethod
-    def undisturbed(shape: tuple[int, int], conifer: BoolArray | None = None, density: float = 1.0) -> Stand:
+    def undisturbed(shape: tuple[int, int], conifer: BoolArray | None = None, density: float = 1.0) -> "Stand":
         """Mature plants, no traces of fire, stone wherever the ground is bare."""
         zeros, ones = np.zeros(shape, np.float32), np.ones(shape, np.float32)
         if conifer is None:

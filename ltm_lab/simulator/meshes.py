@@ -1,7 +1,5 @@
 """Procedural meshes of plants and houses: triangles with a colour each, in metres, z up, standing on z = 0."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +21,7 @@ class Soup:
     colors: Float64Array
     normals: Float64Array
 
-    def moved(self, x: float, y: float, scale: float, turn: float, tint: float = 1.0) -> Soup:
+    def moved(self, x: float, y: float, scale: float, turn: float, tint: float = 1.0) -> "Soup":
         """Scaled, turned about z (radians), set at (x, y), its colours multiplied by `tint`."""
         c, s = np.cos(turn), np.sin(turn)
         rotation = scale * np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -34,7 +32,7 @@ class Soup:
         )
 
     @staticmethod
-    def joined(parts: list[Soup]) -> Soup:
+    def joined(parts: "list[Soup]") -> "Soup":
         return Soup(
             np.concatenate([p.triangles for p in parts]),
             np.concatenate([p.colors for p in parts]),

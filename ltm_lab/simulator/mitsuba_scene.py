@@ -5,8 +5,6 @@ with its distance d from the eye. A straight ray through the sunk scene is the c
 r^2 / (2 R) through the true one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ Every field is a function of (seed, map position), not of the raster it is sampl
 has the same value at any resolution.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

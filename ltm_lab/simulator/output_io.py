@@ -21,8 +21,6 @@ truth/change_A_B.tif        1 m, bits: 1 ground moved >= 0.1 m, 2 plants changed
 truth/fuel_change_A_B.tif   30 m, bits: 1 other life form, 2 other fuel code
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Writes simulated frames as a phone's camera app does: JPEG with EXIF, a portrait stored as its sensor reads it."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

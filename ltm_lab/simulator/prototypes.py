@@ -4,8 +4,6 @@ A patch carries dozens of shrubs and is sheared onto the slope, so that a whole 
 thousands of instances, not millions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

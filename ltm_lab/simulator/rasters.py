@@ -1,7 +1,5 @@
 """Rasters of a site: the truth at one date, the changes between two dates, and the DEMs that the system is given."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Round a camera the ground is that of the finest raster, farther out a coarser on
 map says which vegetation stands where, not how single plants do: their places are drawn.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -115,7 +113,7 @@ class Rendered:
     shot: Shot
 
     @classmethod
-    def of(cls, name: str, view: PosedCamera, dem: Dem) -> Rendered:
+    def of(cls, name: str, view: PosedCamera, dem: Dem) -> "Rendered":
         """Return the image of a view. Raises ConfigError for a camera without terrain or under it."""
         share = min(1.0, _WIDEST / view.camera.width)
         pinhole = replace(view.camera, distortion=(0.0,) * 5)

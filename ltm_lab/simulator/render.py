@@ -1,7 +1,5 @@
 """Renders with Mitsuba through our cameras: radiance images, true ranges through pixel centres, true classes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Renders a scenario frame by frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Typed configuration of a simulated recording: the SCENARIO.yaml of `ltm-lab simulate`."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
@@ -60,7 +58,7 @@ class VegetationConfig(Strict):
     grass_radius: float = Field(220.0, ge=0)  # m round a camera within which grass stands as blades
 
     @model_validator(mode="after")
-    def _shares(self) -> VegetationConfig:
+    def _shares(self) -> "VegetationConfig":
         if self.tree + self.grass + self.bare > 1:
             raise ValueError(f"tree + grass + bare is {self.tree + self.grass + self.bare:.2f}, must be at most 1")
         return self
@@ -153,7 +151,7 @@ class Scenario(Strict):
         return name
 
     @model_validator(mode="after")
-    def _something_to_see(self) -> Scenario:
+    def _something_to_see(self) -> "Scenario":
         if not self.cameras and not self.walks and self.views is None:
             raise ValueError("no camera: give `cameras`, `walks` or `views`")
         cameras = [c.name for c in self.cameras] + [w.name for w in self.walks]

@@ -8,8 +8,6 @@ conversion  a slope planted with conifers, in view of 2 cameras that each take 4
 change      one burn, thinning, landslide or cut, in view of 3 cameras, before and after
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Columns and their order, units and axes are the app's (its UNITS.md, COORDINATES
 photos the phone goes and turns evenly from one to the next.
 """
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Iterable, Sequence

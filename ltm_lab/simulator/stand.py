@@ -1,7 +1,5 @@
 """State of the vegetation in each cell, aged by years and altered by a scenario's changes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

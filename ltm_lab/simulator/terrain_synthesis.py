@@ -1,7 +1,5 @@
 """Synthetic terrain: a seeded range of hills with ridges, ravines and a connected drainage net."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

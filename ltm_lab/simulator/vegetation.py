@@ -1,7 +1,5 @@
 """Places plants: instances of the prototypes, by the land cover and the seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

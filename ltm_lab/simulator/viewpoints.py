@@ -1,7 +1,5 @@
 """Draws where cameras stand and point: on seeded knolls and slopes, along walks, and as their sensors report it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +22,7 @@ class Report:
     received_ns: int
 
     @staticmethod
-    def exact(pose: Pose, stamp_ns: int) -> Report:
+    def exact(pose: Pose, stamp_ns: int) -> "Report":
         """The truth, at once."""
         return Report(pose, np.zeros((6, 6)), stamp_ns, stamp_ns)
 

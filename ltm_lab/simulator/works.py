@@ -1,7 +1,5 @@
 """Built features of a site: a dirt track, hamlets beside it, reservoirs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ class Houses:
     turn: Float64Array
 
     @staticmethod
-    def none() -> Houses:
+    def none() -> "Houses":
         """No house."""
         return Houses(np.empty(0), np.empty(0), np.empty(0))
 

@@ -9,8 +9,6 @@ does not say) and at nodata. Its range is off by up to a step and by half a cell
 `TerrainTracer` for anything but comparison.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ a ray with grid lines at once, sorts them, and in each cell puts a parabola thro
 a stack of rasters, each piece of the way belongs to the finest raster that it is over.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,7 +103,7 @@ class _Raster:
                 near, far = max(near, a), min(far, b)
         return near * self.resolution, far * self.resolution
 
-    def pieces(self, near: float, far: float, heading: tuple[float, float], height: _Parabola) -> _Pieces:
+    def pieces(self, near: float, far: float, heading: tuple[float, float], height: "_Parabola") -> "_Pieces":
         """What the ray meets in each cell between two metres."""
         cx, cy = heading
         first, last = near / self.resolution, far / self.resolution

@@ -5,8 +5,6 @@ has none; so photos carry rendered ground, rendered frames real skies, and both 
 float32 RGB (H, W, 3) in 0..1, labels (H, W) uint8; each function draws from the generator it is given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import cv2

@@ -1,7 +1,5 @@
 """Draws the loss and validation curves of a training run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,12 +16,12 @@ _SMOOTH = 25
 _LOSS, _SCORE = "#1f4e79", "#c4722d"
 
 
-def write_curve(path: Path, name: str, run: Run) -> None:
+def write_curve(path: Path, name: str, run: "Run") -> None:
     """Write the curves of a run as a PNG."""
     training_figure(name, run.losses, run.validations).savefig(path)
 
 
-def training_figure(name: str, losses: Sequence[float], validations: Sequence[tuple[int, float]]) -> Figure:
+def training_figure(name: str, losses: Sequence[float], validations: Sequence[tuple[int, float]]) -> "Figure":
     """Loss of each step, thin, and its running mean; mean F1 at each validation (step, score)."""
     from matplotlib.figure import Figure
 

@@ -1,7 +1,5 @@
 """Names the decoder maps of an exported network and makes them outputs of its graph, for label heads to read."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 from onnx import TensorProto, helper, shape_inference

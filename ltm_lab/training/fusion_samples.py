@@ -5,8 +5,6 @@ canopy raster? Each sample has the quantities that fusion's log odds are
 sums of, so that logistic regression finds their weights.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

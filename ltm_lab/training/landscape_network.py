@@ -1,7 +1,5 @@
 """The network: an EfficientNet-Lite0 encoder, one or two light feature pyramids, a head for classes, one for depth."""
 
-from __future__ import annotations
-
 import copy
 from typing import Final
 

@@ -1,7 +1,5 @@
 """The training loop: the same configuration, frames and seed give the same weights on the same machine type."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -54,7 +52,7 @@ class Run:
     before: LandscapeNetwork | None = None  # as it was at the start, if its depth or labels are to be kept
 
     @classmethod
-    def start(cls, config: TrainingConfig, classes: int, weights: dict[str, Any] | None = None) -> Run:
+    def start(cls, config: TrainingConfig, classes: int, weights: dict[str, Any] | None = None) -> "Run":
         """From ImageNet's encoder, or from `weights` of an earlier training: of a checkpoint or of an exported file.
 
         Weights of an exported file have their batch normalisations folded in, and so has the network that goes on from
@@ -107,7 +105,7 @@ class Run:
         part.replace(path)
 
     @classmethod
-    def resume(cls, path: Path, config: TrainingConfig, classes: int) -> Run:
+    def resume(cls, path: Path, config: TrainingConfig, classes: int) -> "Run":
         """Read a checkpoint of the same configuration. Raises ConfigError where it is another's."""
         content = torch.load(path, map_location=device(), weights_only=True)
         differing = sorted(

@@ -1,7 +1,5 @@
 """Loss functions: classes and partial knowledge of them, inverse depth of free scale, a teacher's depth order."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

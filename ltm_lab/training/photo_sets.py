@@ -6,8 +6,6 @@ forest: `BT`; a meadow with shrubs: `GS`), `-` where they could not tell. Otherw
 neither sky nor water nor built.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -41,7 +39,7 @@ class PhotoSets(StrictModel):
     boxes: dict[str, tuple[tuple[str, float, float, float, float], ...]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _names_and_tags_are_known(self) -> PhotoSets:
+    def _names_and_tags_are_known(self) -> "PhotoSets":
         wrong = sorted(name for name, tag in self.photos.items() if len(tag) != 2 or set(tag) - set(TAG_LABELS))
         if wrong:
             raise ValueError(f"photos: tags of {', '.join(wrong)} are not two of {', '.join(TAG_LABELS)}")

@@ -4,8 +4,6 @@ Pictures are float32 RGB (H, W, 3) in 0..1, labels (H, W) uint8; each draws from
 drawn at four times the size and brought down, so that their edges are as soft as a lens makes them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -5,8 +5,6 @@ true depth. Photos may have `NAME_order.npz` with `inverse` (h, w), a teacher's 
 trusted; posed frames `NAME_depth.npz` with `depth` (h, w), metres along the optical axis.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -3,8 +3,6 @@
 The layout is plain CDR (OMG DDS-XTypes 1.3, 7.4.1): four bytes of encapsulation, then the fields, numbers aligned to
 their size, strings (with a closing zero) and sequences after a uint32 of their length."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

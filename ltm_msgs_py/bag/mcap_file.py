@@ -1,7 +1,5 @@
 """Write one MCAP file of a bag, which stays readable even if the disk fails."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 from collections import Counter

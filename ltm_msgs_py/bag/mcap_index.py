@@ -2,8 +2,6 @@
 
 A killed recorder leaves a file without a summary, truncated inside a record. The rest is reported."""
 
-from __future__ import annotations
-
 import errno
 import heapq
 import struct
@@ -74,7 +72,7 @@ class McapIndex:
     """First and last log time, and offset, of each chunk and each message outside chunks."""
 
     @classmethod
-    def open(cls, path: Path) -> McapIndex:
+    def open(cls, path: Path) -> "McapIndex":
         """Read a file's index. Raises RecordingError when the file cannot be opened or is no MCAP."""
         index = cls(path)
         with index._opened() as stream:

@@ -1,7 +1,5 @@
 """Read and write rosbag2's metadata.yaml, version 9 (Jazzy)."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence

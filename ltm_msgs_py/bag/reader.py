@@ -1,7 +1,5 @@
 """Read a bag: a rosbag2 folder of MCAP or SQLite files, or one such file, also compressed as a whole (zstd)."""
 
-from __future__ import annotations
-
 import heapq
 import logging
 import tempfile
@@ -78,7 +76,7 @@ class SqliteIndex:
         self.end_ns: int | None = reader.end_time - 1 if some else None
 
     @classmethod
-    def open(cls, path: Path) -> SqliteIndex:
+    def open(cls, path: Path) -> "SqliteIndex":
         """Open a file. Raises RecordingError if it is invalid, or rosbags is not installed."""
         try:
             from rosbags.rosbag2 import Reader

@@ -4,8 +4,6 @@ Everything after the last complete chunk of a file is removed, and the index is 
 
 Source: MCAP specification, https://mcap.dev/spec."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections import Counter

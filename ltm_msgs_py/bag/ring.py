@@ -1,7 +1,5 @@
 """Keep a recorder's files as a ring: limited in bytes, the oldest complete files are deleted first."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import re

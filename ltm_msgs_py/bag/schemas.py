@@ -1,7 +1,5 @@
 """Find message types by name: Python class, `ros2msg` definition with its dependencies, and type hash."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import json

@@ -1,7 +1,5 @@
 """Write a bag: MCAP files and their metadata.yaml, in rosbag2's layout."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

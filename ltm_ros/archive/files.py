@@ -1,7 +1,5 @@
 """Find the files of archives, and write results that appear completely or not at all."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

@@ -2,8 +2,6 @@
 
 Poses and calibrations are joined here by the same rules as live (`FrameJoin`), so that frames can come in any order."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field
 from pathlib import Path

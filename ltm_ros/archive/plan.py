@@ -2,8 +2,6 @@
 
 Runs with equal results have equal digests; any change of a result changes its digest."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 from collections import defaultdict

@@ -2,8 +2,6 @@
 
 A node can continue from the store: tiles with their sources, counted frames, and a journal of the days."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -2,8 +2,6 @@
 
 All intermediate files are named by their content, so a stopped run is resumed by running it again."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections import Counter

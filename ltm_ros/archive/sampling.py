@@ -4,8 +4,6 @@ Frames of one view within a day are nearly equal, so a few of them are enough. A
 times, and each gives one clear image in daylight. The search begins at another place in each span, so that several days
 cover all hours. An image that the camera sent before, in the same span or the last one, does not count."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -44,7 +42,7 @@ class Sample:
     span: str = "day"
 
     @classmethod
-    def parsed(cls, text: str) -> Sample:
+    def parsed(cls, text: str) -> "Sample":
         """Parse `all`, `4/day` or `1/hour`. Raises ArchiveError."""
         if text == "all":
             return cls()

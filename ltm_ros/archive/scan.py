@@ -2,8 +2,6 @@
 
 A scan depends only on the file and the topic names, so it is stored and used again while the file is unchanged."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -60,7 +58,7 @@ class ScannedMessage:
     raw: bytes = b""
 
 
-_KINDS = {"str": pa.string(), "int": pa.int64(), "bytes": pa.binary()}
+_KINDS = {str: pa.string(), int: pa.int64(), bytes: pa.binary()}
 _SCHEMA = pa.schema([(name, _KINDS[kind]) for name, kind in ScannedMessage.__annotations__.items()])
 
 

@@ -2,8 +2,6 @@
 
 A task writes a file named by the digest of its inputs. An existing file is valid, whoever wrote it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import threading
 from collections import Counter

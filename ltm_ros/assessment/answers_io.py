@@ -3,8 +3,6 @@
 A plan is a folder: `plan.json`, `cells.csv` (sampled cells without the map's answer), `answers/NAME.csv` (one file for
 each interpreter) and `learned.csv` (cells that the network has learned from)."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

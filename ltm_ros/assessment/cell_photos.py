@@ -1,7 +1,5 @@
 """Find the photos that show a sampled cell best, from different days and cameras, and its outline in them."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress

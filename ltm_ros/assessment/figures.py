@@ -1,7 +1,5 @@
 """Compute the figures of an accuracy assessment from a plan and the interpreters' answers."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any

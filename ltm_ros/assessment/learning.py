@@ -1,7 +1,5 @@
 """Turn half of the reference answers into training areas; those cells stay out of the report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final

@@ -1,7 +1,5 @@
 """`ltm assess look` and `ltm assess learn`: name what grows in sampled cells, and let the network learn from it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Hold the sampled cells of a plan for the page on which an interpreter names what grows there."""
 
-from __future__ import annotations
-
 import threading
 from datetime import UTC, datetime
 from functools import lru_cache, partial

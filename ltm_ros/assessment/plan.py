@@ -3,8 +3,6 @@
 `plan.json` has the design, `cells.csv` the sampled cells for interpreters, and `map.npz` the assessed map, so that
 later updates of the map do not change the assessment."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """Write the report of an accuracy assessment: one printable HTML page without other files."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict

@@ -1,8 +1,6 @@
 """Read one camera: request images, check them, compute when and in which direction they were taken, and keep the
 camera's state. Uses no ROS; tests replace the clock."""
 
-from __future__ import annotations
-
 import hashlib
 import random
 from collections.abc import Callable

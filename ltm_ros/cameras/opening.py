@@ -1,7 +1,5 @@
 """Open a camera as its site file describes, warn about missing parts, and read it in a thread of its own."""
 
-from __future__ import annotations
-
 import random
 import sys
 import threading

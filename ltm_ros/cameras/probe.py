@@ -1,7 +1,5 @@
 """Probe a camera's protocols, and write its section of a site file."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """`ltm assess`: measure the accuracy of a fuel map from a stratified random sample of its cells."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

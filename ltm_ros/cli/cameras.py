@@ -1,7 +1,5 @@
 """`ltm cameras`: probe a camera, and take a snapshot with its pose."""
 
-from __future__ import annotations
-
 import os
 import time
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """`ltm check`: check a site before it runs, and draw it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`ltm demo`: run the whole system on the recording that is shipped with it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

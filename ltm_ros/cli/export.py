@@ -1,7 +1,5 @@
 """`ltm export` and `ltm fire`: write fuel maps and terrain for other programs, and simulate a fire."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """`ltm init`: make a site from a point on the map, or add to one."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """`ltm locate`: find the place of marks in images, and find a place in the images."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

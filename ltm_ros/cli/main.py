@@ -1,7 +1,5 @@
 """The command `ltm`. The module of a command is imported when the command runs, so that `ltm --help` is quick."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import os

@@ -1,7 +1,5 @@
 """`ltm mask` and `ltm label`: mask foreground objects, and label areas in photos."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Annotated

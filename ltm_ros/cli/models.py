@@ -1,7 +1,5 @@
 """`ltm models`: list, check and add networks."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Options that commands share, and what they print: lines, tables and progress."""
 
-from __future__ import annotations
-
 import math
 import signal
 import threading
@@ -65,7 +63,7 @@ def warn(text: str) -> None:
     say(text, "yellow")
 
 
-def working(what: str) -> Status:
+def working(what: str) -> "Status":
     """Return a context that shows what the command is doing."""
     from rich.console import Console
 
@@ -96,14 +94,14 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Row | None]) 
     Console().print(made)
 
 
-def open_dems(rasters: Sequence[Path], crs: str | None) -> Dem:
+def open_dems(rasters: Sequence[Path], crs: str | None) -> "Dem":
     """Open the terrain of `--dem`, finest first, and print what may be wrong with it. `crs`: of the first."""
     from ltm_core.raster.dem_stack import open_terrain
 
     return print_doubts(open_terrain([(rasters[0], crs), *((raster, None) for raster in rasters[1:])]))
 
 
-def print_doubts(dem: Dem) -> Dem:
+def print_doubts(dem: "Dem") -> "Dem":
     """Print to stderr what may be wrong with a terrain; return it."""
     for doubt in dem.doubts:
         typer.secho(doubt.text, fg="yellow", err=True)
@@ -148,7 +146,7 @@ def stop_on_signals(event: threading.Event) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def print_nodes(rows: Sequence[NodeRow]) -> None:
+def print_nodes(rows: "Sequence[NodeRow]") -> None:
     """Print messages in and out, drops by cause with an example of each, and latency since capture."""
     columns = ["node", ">in", ">out", ">drops", ">p50 ms", ">p95 ms", ">work ms"]
     if any(row.causes for row in rows):

@@ -1,7 +1,5 @@
 """`ltm pose import`: convert other tools' poses into pose files, and check their axes and units with photos."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated

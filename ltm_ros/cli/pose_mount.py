@@ -1,7 +1,5 @@
 """`ltm pose mount`: calibrate the mount of a PTZ head, and write it into the site file."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`ltm pose photo`: find the poses of photos from their skylines and ridges."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`ltm pose points`: fit a camera's pose and calibration to ground control points, and print the residuals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, cast

@@ -1,7 +1,5 @@
 """`ltm record`, `ltm replay` and `ltm import`: record a running graph, replay a recording, and make one from photos."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`ltm reprocess`: compute a site's fuel map again from archives of recordings."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated

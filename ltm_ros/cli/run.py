@@ -2,8 +2,6 @@
 
 Each function imports what it needs: `run` must stay small in memory, and the others need extras."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -117,7 +115,7 @@ def run(
     raise typer.Exit(status)
 
 
-def _address(viewer: Mapping[str, ParameterValue]) -> str:
+def _address(viewer: "Mapping[str, ParameterValue]") -> str:
     """Return the address of the viewer node's page; its ports may be in the site file."""
     from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, web_url
 

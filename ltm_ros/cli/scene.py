@@ -1,7 +1,5 @@
 """Open the terrain and cameras of a site, or of pose files; read the marks of `ltm locate`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`ltm status`, `doctor`, `upgrade` and `rollback`: commands for an installed tower."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -167,7 +165,7 @@ def rollback(
     change.go_back(to)
 
 
-def _upgrade(ready_minutes: float) -> Upgrade:
+def _upgrade(ready_minutes: float) -> "Upgrade":
     from ltm_ros.tower.releases import ROOT, Releases
     from ltm_ros.tower.store_copy import SystemdService
     from ltm_ros.tower.upgrade import Places, Upgrade

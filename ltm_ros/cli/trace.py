@@ -1,7 +1,5 @@
 """`ltm trace` and `ltm viewshed`: trace one photo, and map what cameras cover."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`ltm train head`: train a label head for a site from a few labelled photos."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`ltm view`: show a running graph in Rerun, or open a recorded .rrd file."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time

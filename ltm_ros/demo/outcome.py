@@ -1,7 +1,5 @@
 """Make the pictures of a demonstration run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 

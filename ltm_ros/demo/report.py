@@ -1,7 +1,5 @@
 """Write the report of the demo: images, tables of errors against truth, and conditions."""
 
-from __future__ import annotations
-
 import math
 import os
 import platform

@@ -1,7 +1,5 @@
 """Score a recorded run against truth: depth, labels, fuel and poses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

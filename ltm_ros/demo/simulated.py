@@ -1,7 +1,5 @@
 """Run `make demo`: replay the recording of two simulated towers live and compare it with its truth."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

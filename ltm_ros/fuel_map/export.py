@@ -1,7 +1,5 @@
 """Write a site's fuel map in a format of fire models, GIS, globes or images, with its provenance."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ltm_core.base.resources import config_path

@@ -1,7 +1,5 @@
 """Run a fire on the previous and the updated map, and write its page."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

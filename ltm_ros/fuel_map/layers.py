@@ -1,7 +1,5 @@
 """Keep the layers of the fuel map as of the last refresh, and draw them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime

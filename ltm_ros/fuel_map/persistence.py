@@ -1,8 +1,6 @@
 """Keep a fuel map and its store consistent: frames count in memory at once, and are acknowledged once they are on
 disk."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Measure a site's labels from its own votes while the fuel map runs, and watch whether they drift."""
 
-from __future__ import annotations
-
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path

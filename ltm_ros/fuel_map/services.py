@@ -1,7 +1,5 @@
 """What the node `fuel_map` offers: its parameters and topics, and its services (query a point, burn a region)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Open a fuel map for export: from a store, a bag, or a GeoTIFF of classes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,7 +51,7 @@ class FuelSource:
     folder: Path | None = None
 
     @classmethod
-    def open(cls, path: Path, site: Site) -> FuelSource:
+    def open(cls, path: Path, site: Site) -> "FuelSource":
         """Open a source. Raises LtmError for a file without a fuel map of this site."""
         labels = LabelSet.load(config_path(site.labels))
         if path.suffix == ".ltm":

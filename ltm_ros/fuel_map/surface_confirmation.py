@@ -1,7 +1,5 @@
 """Publish the changes of a terrain map and the surface versions that it confirms; follow these in other nodes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Apply the terrain's changes to the fuel map: check them, match them to fuel cells, apply each once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

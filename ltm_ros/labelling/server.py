@@ -1,7 +1,5 @@
 """Serve the labelling page on this machine; hold the photos of a folder and their labelled areas."""
 
-from __future__ import annotations
-
 import json
 import secrets
 import threading

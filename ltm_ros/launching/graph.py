@@ -1,7 +1,5 @@
 """Describe the node graph of a site as plain data, which `ltm run` and `ros2 launch` both use. Imports no ROS."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -2,8 +2,6 @@
 
 An upgrade does this while the previous release still runs, so that the tower stops for seconds instead of minutes."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import platform

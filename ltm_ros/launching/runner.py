@@ -1,7 +1,5 @@
 """Run a graph without `launch`: start its processes, restart those that die, and stop all cleanly."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
@@ -99,7 +97,7 @@ class Runner:
         self._folder: Path | None = None
         self._stopping = threading.Event()
 
-    def __enter__(self) -> Runner:
+    def __enter__(self) -> "Runner":
         self.start()
         return self
 

@@ -3,8 +3,6 @@
 Messages are datagrams of `NAME=value` lines to the Unix socket `NOTIFY_SOCKET`. Without that variable, nothing is sent.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket
@@ -63,7 +61,7 @@ class ServiceManager:
             ) from error
 
     @classmethod
-    def of_environment(cls, environ: MutableMapping[str, str]) -> ServiceManager:
+    def of_environment(cls, environ: MutableMapping[str, str]) -> "ServiceManager":
         """Return the manager that `environ` names, and remove its variables, so that no child process uses them."""
         address, interval, pid = (environ.pop(name, "") for name in VARIABLES)
         meant = interval.isdecimal() and int(interval) and pid in ("", str(os.getpid()))

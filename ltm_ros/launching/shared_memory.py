@@ -4,8 +4,6 @@ A segment or port of Fast DDS is a file with a lock file beside it (`_el` exclus
 holds a flock while it lives; the kernel releases the lock when the owner dies. A port also has a semaphore. Only
 objects without a living owner are removed, so other graphs on the machine are safe."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

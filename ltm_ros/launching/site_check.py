@@ -1,7 +1,5 @@
 """Check before any process starts what a graph needs: site, node parameters, folders, ports and disk space."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor

@@ -2,8 +2,6 @@
 
 `python -m ltm_ros.launching.site_process NODES.json` runs the nodes that the file lists (`nodes_json`)."""
 
-from __future__ import annotations
-
 import importlib
 import queue
 import sys

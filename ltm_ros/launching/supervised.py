@@ -3,8 +3,6 @@
 `start_supervised` runs `python -m ltm_ros.launching.supervised MODULE ARGUMENTS`; the module runs as under `python -m
 MODULE ARGUMENTS`. Uses only the standard library, so that supervision begins before the module's own imports."""
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import ctypes

@@ -1,7 +1,5 @@
 """Supervise one process of a graph: start it, label its output, restart it with back-off when it dies or hangs."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -1,7 +1,5 @@
 """Decide from heartbeats and processor time whether the processes of a graph work."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import dataclass

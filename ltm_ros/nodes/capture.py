@@ -1,8 +1,6 @@
 """capture: join a camera's images, calibrations and poses, check them, and admit frames to the camera's nodes under one
 stamp, as many as these can process."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence

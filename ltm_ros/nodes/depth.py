@@ -1,7 +1,5 @@
 """depth: trace every pixel of a posed camera to the terrain and publish the depth image."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any

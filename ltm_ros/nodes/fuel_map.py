@@ -1,7 +1,5 @@
 """fuel_map: fuse the votes of all cameras of a site into its fuel map, and store it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

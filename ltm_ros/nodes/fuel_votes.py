@@ -1,7 +1,5 @@
 """fuel_votes: convert a camera's depth and labels into votes for the fuel cells that it sees, with their geometry."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

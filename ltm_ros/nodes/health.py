@@ -1,7 +1,5 @@
 """health: answer monitoring systems and serve the status page, from the other nodes' /diagnostics."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """locate: find the places on the map of marks that a detector or a person sets in camera images."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

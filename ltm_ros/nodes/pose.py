@@ -1,7 +1,5 @@
 """pose: refine a mounted camera's pose from its images, and publish the correction for capture."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

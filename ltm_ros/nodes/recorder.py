@@ -1,7 +1,5 @@
 """recorder: write the serialised messages of topics into MCAP bags, within limits of disk space."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from fnmatch import fnmatchcase

@@ -1,7 +1,5 @@
 """segmentation: label every pixel of a camera's images with its land cover class (grass, shrub, tree, sky, ...)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any

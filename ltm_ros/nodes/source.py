@@ -1,7 +1,5 @@
 """source: request images from a camera and publish them with time and direction, like a driver."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ltm_core.base.errors import ConfigError

@@ -1,7 +1,5 @@
 """terrain: update a site's surface map from measured depth where several views agree."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """topodepth: fuse traced depth with the depth that a network estimates from the image (TopoDepth)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

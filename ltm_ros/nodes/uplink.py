@@ -1,7 +1,5 @@
 """uplink: keep the votes of a site's cameras in an outbox, and send them to their region's map."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """viewer: show the running graph in Rerun, live or into an .rrd file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Render HTML pages, and write figures as JSON."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

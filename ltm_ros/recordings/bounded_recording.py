@@ -1,7 +1,5 @@
 """Record within limits of disk space: a ring of files, written by a separate thread."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os

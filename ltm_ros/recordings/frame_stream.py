@@ -3,8 +3,6 @@
 A first pass over the bag reads only stamps and counts the messages of each frame; the second returns a frame as soon as
 its last message has come. So memory holds only frames that overlap in time, whatever the length of the bag."""
 
-from __future__ import annotations
-
 import logging
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -96,7 +94,7 @@ class FrameStream:
             self._parts[camera, stamp].add(part)
 
     @classmethod
-    def open(cls, bag: Path, site: Site, parts: Parts = PARTS) -> FrameStream:
+    def open(cls, bag: Path, site: Site, parts: Parts = PARTS) -> "FrameStream":
         """Open a bag of a site's cameras. Raises RecordingError."""
         return cls(bag, site, list(site.cameras), parts)
 

@@ -1,7 +1,5 @@
 """Find the input topics of a site's cameras in a recording, check their types, and decode their messages."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections import deque

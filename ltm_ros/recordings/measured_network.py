@@ -1,7 +1,5 @@
 """Measure the labels of a network on recordings of a site, or on labelled photos, for `ltm models measure`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Open a recorded run: bag, site, frames, votes and final map; read images of single cameras."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress

@@ -3,8 +3,6 @@ frames, and export the map.
 
 The map, its store and the rules for votes are those of a site's node `fuel_map`."""
 
-from __future__ import annotations
-
 import sys
 from collections import defaultdict
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 
 It also writes the broker's configuration with the access rights."""
 
-from __future__ import annotations
-
 import getpass
 import ipaddress
 import os

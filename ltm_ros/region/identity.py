@@ -1,7 +1,5 @@
 """Hold the identity of one side of the link: its certificate, and the authorities that it trusts."""
 
-from __future__ import annotations
-
 import ssl
 from datetime import UTC, datetime
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Connect to an MQTT 5 broker and reconnect after losses; define topics, limits and the queue of received messages."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence

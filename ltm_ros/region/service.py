@@ -1,7 +1,5 @@
 """Run `ltm region`: link, map, exports, and health."""
 
-from __future__ import annotations
-
 import secrets
 import signal
 import sys

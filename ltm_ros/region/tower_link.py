@@ -2,8 +2,6 @@
 
 A frame leaves the outbox only after the aggregator's signed acknowledgement, and is sent again after any failure."""
 
-from __future__ import annotations
-
 import os
 import queue
 import sys

@@ -1,7 +1,5 @@
 """Run the jobs of all cameras in a shared process, with fair turns."""
 
-from __future__ import annotations
-
 import os
 import queue
 import sys
@@ -44,7 +42,7 @@ class FrameScheduler:
         for thread in self._threads:
             thread.start()
 
-    def wake(self, camera: CameraPipeline) -> None:
+    def wake(self, camera: "CameraPipeline") -> None:
         """Schedule `camera`; thread-safe."""
         with self._changed:
             if camera in self._at_work:
@@ -62,12 +60,12 @@ class FrameScheduler:
             thread.join(max(0.0, deadline - time.monotonic()))
         return not any(thread.is_alive() for thread in self._threads)
 
-    def _enqueue(self, camera: CameraPipeline) -> None:
+    def _enqueue(self, camera: "CameraPipeline") -> None:
         if camera not in self._queue:
             self._queue[camera] = None
             self._changed.notify()
 
-    def _next(self) -> CameraPipeline | None:
+    def _next(self) -> "CameraPipeline | None":
         with self._changed:
             while not self._queue:
                 if self._closing:

@@ -1,7 +1,5 @@
 """Read this machine's clocks, and whether they are synchronised."""
 
-from __future__ import annotations
-
 import ctypes
 import time
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Lost messages are counted from gaps in the middleware's sequence numbers. A read
 topic: what a slow process does not take in time is replaced without notice. The same holds for messages that did not
 fit into shared memory, and for invalid bytes."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any

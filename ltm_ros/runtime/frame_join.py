@@ -2,8 +2,6 @@
 
 The node `capture` joins live messages, the archive joins recorded ones: the same frame has the same pose."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -160,7 +158,7 @@ class FrameJoin:
     def _joined(
         self,
         image: Any,
-        pose: _StatedPose | None = None,
+        pose: "_StatedPose | None" = None,
         camera_info: Camera | None = None,
         fix: Fix | None = None,
         imu: Attitude | None = None,

@@ -3,8 +3,6 @@
 The live node (`runtime.node`) and the offline replay (`replay.offline`) feed the same handlers with the same messages,
 so that a recording gives the tower's results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Count a node's rates, latencies and drops, and hold the states of cameras and their photos."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -265,7 +263,7 @@ class NodeRow:
     """Reason of the first drop of each cause, and of each lasting problem, after its name."""
 
     @classmethod
-    def of(cls, node: str, summary: dict[str, str]) -> NodeRow:
+    def of(cls, node: str, summary: dict[str, str]) -> "NodeRow":
         """Parse the key -> value texts of a node's `/diagnostics` status."""
 
         def of(kind: str) -> dict[str, str]:

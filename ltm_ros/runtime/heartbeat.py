@@ -4,8 +4,6 @@ A separate thread writes a line of JSON into a pipe, so it needs no DDS and work
 thread itself shows that the process is scheduled and the interpreter's lock is free; the activities show that work
 progresses. Uses only the standard library."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Run a handler live: an rclpy node that passes messages to it and publishes its results."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import queue

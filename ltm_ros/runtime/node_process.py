@@ -1,7 +1,5 @@
 """Run a node's process: start, spin until stopped, finish its work, shut down."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading
@@ -38,7 +36,7 @@ class _StoppedEarly(BaseException):
 _AGAIN_S = 0.5
 
 
-def _unless_stopped_early(lost: sys.UnraisableHookArgs) -> None:
+def _unless_stopped_early(lost: "sys.UnraisableHookArgs") -> None:
     if lost.exc_type is not _StoppedEarly:
         sys.__unraisablehook__(lost)
 

@@ -1,7 +1,5 @@
 """Run the ROS side of a handler: a node with its parameters, publishers and subscriptions."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import itertools

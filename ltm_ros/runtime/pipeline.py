@@ -1,7 +1,5 @@
 """Connect handlers of one process that pass messages directly, without transport."""
 
-from __future__ import annotations
-
 from collections import defaultdict, deque
 from collections.abc import Callable
 from graphlib import TopologicalSorter

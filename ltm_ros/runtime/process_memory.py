@@ -1,7 +1,5 @@
 """Keep the memory of a long-running process constant. Uses only the standard library."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

@@ -1,7 +1,5 @@
 """Compute the pauses between failing attempts."""
 
-from __future__ import annotations
-
 import random
 
 FIRST_RETRY_S = 2.0

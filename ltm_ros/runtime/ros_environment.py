@@ -5,8 +5,6 @@ libstdc++ 9 or older) that wait spins while holding the lock that the callback n
 Python's interpreter lock, so that no Python signal handler runs (Fast-DDS, issue 6513). Callbacks run when other
 participants start or end, so it happens when a graph stops."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -122,7 +120,7 @@ def limit_shutdown(cpu_s: float = SHUTDOWN_CPU_S) -> None:
     signal.setitimer(signal.ITIMER_PROF, cpu_s)
 
 
-def wait_for_quiet(node: Node, patience_s: float = PATIENCE_S) -> bool:
+def wait_for_quiet(node: "Node", patience_s: float = PATIENCE_S) -> bool:
     """Wait until endpoints have not changed for a moment, so that no discovery callback runs.
 
     For a process that continues after its participant. Returns False if they still changed after `patience_s`."""
@@ -137,7 +135,7 @@ def wait_for_quiet(node: Node, patience_s: float = PATIENCE_S) -> bool:
     return False
 
 
-def _endpoints(node: Node) -> dict[str, tuple[int, int]]:
+def _endpoints(node: "Node") -> dict[str, tuple[int, int]]:
     """Return the numbers of publishers and subscriptions, by topic."""
     topics = (name for name, _ in node.get_topic_names_and_types())
     return {topic: (node.count_publishers(topic), node.count_subscribers(topic)) for topic in topics}

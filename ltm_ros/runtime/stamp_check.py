@@ -1,7 +1,5 @@
 """Check stamps against the time of the graph."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Join messages of several topics into frames by their stamps."""
 
-from __future__ import annotations
-
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

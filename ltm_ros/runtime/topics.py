@@ -1,7 +1,5 @@
 """The topics of the graph. Names are relative to `/<site>/<camera>/` or, under SITE, to `/<site>/`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -129,7 +127,7 @@ def camera_topic(site: str, camera: str, topic: Topic) -> str:
     return topic.name if topic.name.startswith("/") else f"/{site}/{camera}/{topic.name}"
 
 
-def input_topic(camera: CameraConfig, topic: Topic) -> Topic:
+def input_topic(camera: "CameraConfig", topic: Topic) -> Topic:
     """Return a topic under the name that the site file gives it, if any. Named poses may have any rate and type;
     transforms become poses on the usual topic."""
     name = getattr(camera.topics, "image" if topic in (IMAGE_RAW, IMAGE_COMPRESSED) else topic.name, None)
@@ -142,14 +140,14 @@ def input_topic(camera: CameraConfig, topic: Topic) -> Topic:
     return replace(topic, name=name, usual_name=topic.name, counted=False, any_pose=True)
 
 
-def transform_topics(camera: CameraConfig) -> tuple[str, str]:
+def transform_topics(camera: "CameraConfig") -> tuple[str, str]:
     """Return the topics of moving transforms, if the site file names them as the camera's pose, and of static ones."""
     name = camera.topics.pose or ""
     moving = name if name.endswith("/tf") else ""
     return moving, f"{moving or '/tf'}_static"
 
 
-def image_topics(camera: CameraConfig) -> tuple[Topic, ...]:
+def image_topics(camera: "CameraConfig") -> tuple[Topic, ...]:
     """Return the image topics of a camera; `auto` takes both kinds, the preferred one first, unless the name of the
     topic or the camera's source decides."""
     kind, name = camera.image, camera.topics.image
@@ -160,7 +158,7 @@ def image_topics(camera: CameraConfig) -> tuple[Topic, ...]:
     return (input_topic(camera, IMAGE_RAW if kind == "raw" else IMAGE_COMPRESSED),)
 
 
-def other_inputs(camera: CameraConfig) -> tuple[Topic, ...]:
+def other_inputs(camera: "CameraConfig") -> tuple[Topic, ...]:
     """Return the other topics whose messages are joined to a camera's images, as the site file leaves them open."""
     calibration = () if camera.calibration is not None else (CAMERA_INFO,)
     pose = (FIX, IMU) if camera.sensors is not None else () if camera.pose is not None else (POSE,)
@@ -177,7 +175,7 @@ def of_camera(site: str, camera: str, topic: Topic) -> Topic:
     return replace(topic, name=camera_topic(site, camera, topic))
 
 
-def of_cameras(site: Site, takes: Mapping[Topic, Callable[[str, Any], None]]) -> dict[Topic, Callable[[Any], None]]:
+def of_cameras(site: "Site", takes: Mapping[Topic, Callable[[str, Any], None]]) -> dict[Topic, Callable[[Any], None]]:
     """Return topics of all cameras of a site under their absolute names, with callbacks that take the camera's name and
     the message."""
     return {

@@ -1,7 +1,5 @@
 """Answer HTTP requests, on loopback unless the site file says otherwise; check TCP ports."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import errno
@@ -67,11 +65,11 @@ class WebResponse:
     stream: Iterator[bytes] | None = None
 
     @classmethod
-    def json(cls, value: object) -> WebResponse:
+    def json(cls, value: object) -> "WebResponse":
         return cls(json.dumps(value, allow_nan=False, default=str).encode(), "application/json")
 
     @classmethod
-    def error(cls, status: HTTPStatus, why: str) -> WebResponse:
+    def error(cls, status: HTTPStatus, why: str) -> "WebResponse":
         return cls(f"{why}\n".encode(), status=status)
 
 

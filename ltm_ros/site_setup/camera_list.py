@@ -1,7 +1,5 @@
 """Read the cameras of a new site: `NAME=LON,LAT,key=value,...`, CSV, GeoJSON, and ALERTCalifornia's list."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -67,7 +65,7 @@ class CameraValues(StrictModel):
     """Identifier in the list of ALERTCalifornia, which has the direction of each image."""
 
     @model_validator(mode="after")
-    def _datum_of_z(self) -> CameraValues:
+    def _datum_of_z(self) -> "CameraValues":
         if self.datum and self.z is None:
             raise ValueError("datum needs z")
         return self

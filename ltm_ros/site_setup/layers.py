@@ -1,7 +1,5 @@
 """Make the rasters of a site from source files: the DEM and the coarser one, the surface, and the fuel map."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Tiles on one grid are joined before they are interpolated, so that there is no s
 between cell centres; GDAL gives rasters that are registered to points the edges of the cells around these points.
 Positions are PROJ's at nodes at most `_LATTICE` metres apart; between the nodes their error is below 2 mm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -63,7 +61,7 @@ class Tile:
             return _DEGREE * math.sqrt(self.dx * self.dy * along)
         return math.sqrt(self.dx * self.dy) * float(self.crs.axis_info[0].unit_conversion_factor)
 
-    def fits(self, other: Tile) -> bool:
+    def fits(self, other: "Tile") -> bool:
         """Return whether the cells of both tiles belong to one grid, within a hundredth of a cell."""
         apart = ((self.west - other.west) / self.dx, (self.north - other.north) / self.dy)
         sizes = (other.dx / self.dx - 1) * max(self.width, 1), (other.dy / self.dy - 1) * max(self.height, 1)

@@ -1,7 +1,5 @@
 """What a site needs from a data source, and what the source delivered."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -48,7 +46,7 @@ class Area:
         at_latitude = math.cos(math.radians((south + north) / 2))
         return (east - west) * METRES_PER_DEGREE * at_latitude, (north - south) * METRES_PER_DEGREE
 
-    def padded(self, margin_m: float) -> Area:
+    def padded(self, margin_m: float) -> "Area":
         """Return the area with a margin, cut at the poles and at the 180th meridian."""
         west, south, east, north = self.bounds_lonlat
         up = margin_m / METRES_PER_DEGREE

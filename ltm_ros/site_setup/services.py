@@ -1,7 +1,5 @@
 """Sources that prepare a file on request: OpenTopography, LANDFIRE's product service, Web Coverage Services."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -109,7 +107,7 @@ class CoverageSource(WholeFileSource):
             parts.append(self._part(base, coverage, grid, area))
         return Plan(area, tuple(parts), (), self.year)
 
-    def _part(self, base: str, coverage: str, grid: CoverageGrid, area: Area) -> Part:
+    def _part(self, base: str, coverage: str, grid: "CoverageGrid", area: Area) -> Part:
         (left, bottom, right, top), cells = grid.cut(area, self.name)
         x, y = grid.labels
         subsets = f"&subset={x}({left:.10g},{right:.10g})&subset={y}({bottom:.10g},{top:.10g})"

@@ -1,7 +1,5 @@
 """Plan a site, or the change of one, before anything is fetched, and carry the plan out in a temporary folder."""
 
-from __future__ import annotations
-
 import fcntl
 import math
 import os

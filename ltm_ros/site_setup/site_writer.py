@@ -1,7 +1,5 @@
 """Write a commented site file, and change the file of a site without losing what the user wrote."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The interface of data sources, and the sources that are Cloud Optimized GeoTIFFs: tiles, The National Map, STAC."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """List the data sources, and choose one by kind and place."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import copy
 from pathlib import Path

@@ -4,8 +4,6 @@ Every datum is described by the height of its zero surface above the ellipsoid o
 difference of two such heights. NAD83 and ITRF2014 are 0.5 to 1.5 m apart in height; PROJ takes NAD83 and WGS 84 as
 equal unless the way between them is stated, as it is here."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Query the web services of data sources, and download files: retries, resume, cache, checksums and limits."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import hashlib

@@ -5,8 +5,6 @@ sizes are known before and exact afterwards, each request is repeated on its own
 GDAL's `/vsicurl/` states no sizes before it reads; here a stalled server once held Python's lock in it. An `opener` of
 rasterio would replace the reading of directories and ranges, but an interrupted window would begin again."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator, Sequence

@@ -2,8 +2,6 @@
 
 Each receiver has its own queue and thread, so that neither can delay the other, or the node."""
 
-from __future__ import annotations
-
 import json
 import random
 import ssl

@@ -1,7 +1,5 @@
 """Run the checks of `ltm doctor`: what is installed, what is in use and what is missing."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.metadata
 import importlib.util

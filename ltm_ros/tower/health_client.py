@@ -1,7 +1,5 @@
 """Serve a tower's health port, query it, and find which process uses it."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import ssl
@@ -134,7 +132,7 @@ class DoctorFinding:
     @classmethod
     def judged(
         cls, area: str, name: str, fine: object, detail: str, remedy: str, bad: DoctorState = DoctorState.WARNING
-    ) -> DoctorFinding:
+    ) -> "DoctorFinding":
         """Return a finding that is ok, or has the state `bad` and the remedy."""
         return cls(area, name, DoctorState.OK if fine else bad, detail, "" if fine else remedy)
 
@@ -158,7 +156,7 @@ class TowerPort:
     token: str | None = None
 
     @classmethod
-    def of_config(cls, config: HealthConfig) -> TowerPort:
+    def of_config(cls, config: HealthConfig) -> "TowerPort":
         """Return the port of a tower on this machine. Its certificate must be that of the site file. Raises
         ConfigError."""
         host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(config.address, config.address)  # nosec B104
@@ -166,7 +164,7 @@ class TowerPort:
         return cls(host, config.port, tls, None if config.token is None else read_token(config.token))
 
     @classmethod
-    def of_url(cls, url: str, token: Path | None, certificate: Path | None) -> TowerPort:
+    def of_url(cls, url: str, token: Path | None, certificate: Path | None) -> "TowerPort":
         """Return the port of an address such as https://192.0.2.7:9464. `certificate`: that of the tower, or of its
         authority; None: the machine's authorities. Raises ConfigError."""
         try:

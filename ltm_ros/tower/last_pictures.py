@@ -3,8 +3,6 @@
 A subscription to images makes the nodes send them, which costs processor time for each frame. So the node subscribes to
 a camera's images only until one frame is complete, at the start and for `WATCHED_S` after each request."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque
@@ -74,12 +72,12 @@ class CameraPicture:
     pose: Pose
     full: bytes = b""
 
-    def small(self) -> CameraPicture:
+    def small(self) -> "CameraPicture":
         """Return a copy at most `WIDTH` pixels wide, with the photo in full size as JPEG."""
         small = self.resized(WIDTH)
         return self if small is self else replace(small, full=to_jpeg(self.photo))
 
-    def without_pixels(self) -> CameraPicture:
+    def without_pixels(self) -> "CameraPicture":
         """Return the same without the memory of its images, for marks alone."""
         nothing = np.zeros((0, 0), np.uint8)
         return replace(self, photo=nothing[..., None], labels=nothing, depth=nothing.astype(np.float32), full=b"")
@@ -89,7 +87,7 @@ class CameraPicture:
         width, height = self.camera.width, self.camera.height
         return min(max(across * width - 0.5, 0.0), width - 1.0), min(max(down * height - 0.5, 0.0), height - 1.0)
 
-    def resized(self, width: int) -> CameraPicture:
+    def resized(self, width: int) -> "CameraPicture":
         """Return it at most `width` pixels wide."""
         rows, columns = self.photo.shape[:2]
         if columns <= width:

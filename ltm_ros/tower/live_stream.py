@@ -9,8 +9,6 @@ A stream is a line `FIRST_LINE`, then records: a line of JSON with `kind` and `b
 | frame | camera, stamp_s, sizes | JPEGs of photo, labels and depth, one after the other; `sizes`: bytes of each |
 | tile | x, y, width, height | up to `TILE` x `TILE` RGB pixels of the map of that size, from (x, y), by zlib |"""
 
-from __future__ import annotations
-
 import json
 import threading
 import time
@@ -49,13 +47,13 @@ KINDS: Final = ("photo", "labels", "depth")
 class Shown(Protocol):
     """What the status page shows."""
 
-    def shown(self, camera: str) -> CameraPicture | None: ...
+    def shown(self, camera: str) -> "CameraPicture | None": ...
 
     def stamps_s(self) -> dict[str, float]: ...
 
-    def map_image(self) -> RgbImage | None: ...
+    def map_image(self) -> "RgbImage | None": ...
 
-    def jpegs(self, picture: CameraPicture, width: int) -> list[bytes]: ...
+    def jpegs(self, picture: "CameraPicture", width: int) -> list[bytes]: ...
 
 
 class LiveStream:
@@ -118,7 +116,7 @@ class LiveStream:
             elif camera is None:
                 time.sleep(IDLE_S)
 
-    def _frame(self, picture: CameraPicture, cameras: int, size: int) -> tuple[int, bytes]:
+    def _frame(self, picture: "CameraPicture", cameras: int, size: int) -> tuple[int, bytes]:
         """Return the images of a frame, and the index of the width for the next one. Raises ImageError."""
         room = self._rate * ROUND_S / max(1, cameras)
         images = self._pictures.jpegs(picture, WIDTHS[size])

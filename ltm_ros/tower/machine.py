@@ -1,7 +1,5 @@
 """Read and judge the state of a tower's machine: clock, disks and memory."""
 
-from __future__ import annotations
-
 import functools
 import importlib.metadata
 import platform
@@ -29,7 +27,7 @@ class Condition:
     """Problem in words; empty: none."""
 
     @classmethod
-    def judged(cls, kind: str, name: str, state: str, problem: str) -> Condition:
+    def judged(cls, kind: str, name: str, state: str, problem: str) -> "Condition":
         """Return a condition with this state, or `ok` without a problem."""
         return cls(kind, name, state if problem else "ok", problem)
 
@@ -43,7 +41,7 @@ class Disk:
     free: int
 
     @classmethod
-    def of(cls, folder: str) -> Disk:
+    def of(cls, folder: str) -> "Disk":
         try:
             usage = shutil.disk_usage(folder)
         except OSError:
@@ -61,7 +59,7 @@ class Machine:
     memory_available: int
 
     @classmethod
-    def read(cls, folders: Iterable[str]) -> Machine:
+    def read(cls, folders: Iterable[str]) -> "Machine":
         """Return the machine's current state, with the disks of `folders`."""
         lines = (line.partition(":") for line in Path("/proc/meminfo").read_text().splitlines())
         kilobytes = {name: int(value.split()[0]) for name, _, value in lines}

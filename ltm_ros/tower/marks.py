@@ -1,7 +1,5 @@
 """Send marks that a user clicks on the status page to `locate`, and return its places."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 from http import HTTPStatus

@@ -1,7 +1,5 @@
 """Export a tower's state as metrics in Prometheus's text format."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 
 from prometheus_client import CollectorRegistry, generate_latest

@@ -1,7 +1,5 @@
 """List installed releases, and unpack the release of a Debian package beside them."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -155,7 +153,7 @@ class PackageFile:
     """Bytes of its unpacked files."""
 
     @classmethod
-    def open(cls, path: Path) -> PackageFile:
+    def open(cls, path: Path) -> "PackageFile":
         """Open a package. Raises UpgradeError."""
         if not path.is_file():
             raise UpgradeError(f"{path}: no such file")

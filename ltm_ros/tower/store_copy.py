@@ -5,8 +5,6 @@ of the copy, so that no frame is lost; otherwise the copy returns and the newer 
 
 Root does this in folders of the service's user, who processes data from cameras. So links are not followed there."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

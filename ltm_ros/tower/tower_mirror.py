@@ -1,7 +1,5 @@
 """Show a tower's live view on this machine: receive its stream, and serve the status page on loopback."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

@@ -2,8 +2,6 @@
 
 Metrics, `ltm status`, the status page and the health checks all use it, so they cannot contradict each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace

@@ -4,8 +4,6 @@ Steps: unpack the release beside the others; let it check its installation and t
 while the current release runs; stop; copy the stores; switch; start; wait for READY. A failure before the switch
 changes nothing. A failure after it brings the previous release back."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import subprocess  # nosec B404 # argument lists, no shell

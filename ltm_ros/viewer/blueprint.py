@@ -2,8 +2,6 @@
 
 It is always explicit: an automatic one would add map views, which fetch tiles from the network."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import rerun.blueprint as rrb

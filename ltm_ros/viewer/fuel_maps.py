@@ -1,7 +1,5 @@
 """Convert core types for Rerun, and draw the changes of the terrain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Build the geometry of the 3D scene: terrain mesh, fuel layer draped on it, and initial viewpoint."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

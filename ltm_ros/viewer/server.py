@@ -4,8 +4,6 @@ Rerun's programs send usage statistics, and its page loads fonts and looks for r
 a configuration of their own without statistics. The page is served again by our server, without links to other hosts
 and with a policy that makes the browser block requests to them."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import http.client
@@ -92,7 +90,7 @@ class RerunProcess:
     @classmethod
     def serve(
         cls, web_port: int, grpc_port: int, recording: Path | None = None, memory_limit: str = OPEN_MEMORY
-    ) -> RerunProcess:
+    ) -> "RerunProcess":
         """Start a gRPC server that keeps its data (and `recording`) for late viewers, and the web viewer's page.
 
         Raises ConfigError if a port is in use or the server does not start."""

@@ -1,7 +1,5 @@
 """Show the graph's results in Rerun: live on loopback, or written to an .rrd file, or both."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`python -m chaos [--minutes 30] [--seed N] [--soak]`; see `ltm_lab/records/2026-11-security.md`."""
 
-from __future__ import annotations
-
 import argparse
 import fcntl
 import random

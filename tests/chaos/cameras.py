@@ -1,7 +1,5 @@
 """The cameras of the site: frames of known content at a steady pace, by clocks that can be set wrong."""
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Faults one after the other, and how long the graph takes to be whole again after each; or none, for hours."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

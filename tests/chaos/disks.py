@@ -1,7 +1,5 @@
 """Small file systems that only this run sees, so that they can be filled without harm to anybody."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The faults that are injected: each draws what it needs, acts, and says whom it touched."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

@@ -1,7 +1,5 @@
 """Listen to the graph: which frames the fuel map has announced as stored, and when each node last reported."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import defaultdict

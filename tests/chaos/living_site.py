@@ -1,7 +1,5 @@
 """The small site as it would stand: frames of today, a prior map, fused depth, a living terrain, all of it kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`ltm run` on the site as a process of its own, and all processes that belong to it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """A whole run: the graph comes up, cameras send, something happens for so long, all stops in order, and is judged."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

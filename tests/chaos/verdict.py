@@ -1,7 +1,5 @@
 """Whether the store holds what was acknowledged: every frame once, and the map that follows from exactly these."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping, Sequence
 from copy import deepcopy

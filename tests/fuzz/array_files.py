@@ -1,7 +1,5 @@
 """Readers of networks, arrays and depth maps."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Readers of bags: MCAP's records, and the chunks that hold them."""
 
-from __future__ import annotations
-
 import random
 import struct
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """What cameras answer: pictures in a folder, streams of parts, lists of cameras."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

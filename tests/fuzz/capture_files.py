@@ -1,7 +1,5 @@
 """Readers of what phones and drones record."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What PTZ heads of pan-tilt-zoom cameras answer."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ A case is a script in JSON: which of a handler's topics get a message, and the s
 file like any other, and can be kept and repeated.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import random

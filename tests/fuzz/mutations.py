@@ -1,7 +1,5 @@
 """Spoils bytes and texts; each way of it is a function of a random generator and the bytes alone."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable

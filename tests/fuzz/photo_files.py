@@ -1,7 +1,5 @@
 """Readers of photos, with their EXIF."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Readers of rasters: elevation, fuel codes, fuel maps."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable

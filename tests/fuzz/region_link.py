@@ -1,7 +1,5 @@
 """What comes over the link between towers and their region's map: envelopes on either side, and a tower's outbox."""
 
-from __future__ import annotations
-
 import contextlib
 import sqlite3
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Readers of a map's store: SQLite's pages, and the rows in them."""
 
-from __future__ import annotations
-
 import random
 import sqlite3
 import struct

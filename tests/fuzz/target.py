@@ -1,7 +1,5 @@
 """What is attacked: a reader of files, or a handler of messages."""
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import random

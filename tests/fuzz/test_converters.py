@@ -1,7 +1,5 @@
 """Every converter of messages, fed with messages whose fields hold anything that their types can."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from array import array

@@ -3,8 +3,6 @@
 `LTM_FUZZ_FIRST=812 pytest tests/fuzz/test_readers.py -k store` begins with case 812 of the target `store`.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -1,7 +1,5 @@
 """Readers of text files: YAML, CSV and JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """A participant beside the graph under test: it sends, listens, calls, and reads the diagnostics."""
 
-from __future__ import annotations
-
 import time
 from collections import defaultdict
 from typing import Any

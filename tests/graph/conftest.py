@@ -6,8 +6,6 @@ by it. So that a busy machine makes them slow and not wrong, only so many graphs
 waited for is a condition.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """What a graph may have left on the machine: processes, shared-memory ports and segments."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

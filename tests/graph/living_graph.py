@@ -1,7 +1,5 @@
 """A running graph of the small site, and somebody who sends to it whatever a test makes."""
 
-from __future__ import annotations
-
 from array import array
 from collections import Counter
 from typing import Any

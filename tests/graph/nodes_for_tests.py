@@ -1,7 +1,5 @@
 """A real node whose parameter `behaviour` says how it lives and dies: `python -m nodes_for_tests`."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

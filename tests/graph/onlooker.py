@@ -3,8 +3,6 @@
 Publishes `/NAME`, and answers every line of its input with what it sees: a line of JSON.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

@@ -1,8 +1,6 @@
 """What can be seen of a running node from another host: nothing. The other host is a network namespace of the test's
 own, joined by a cable of its own (veth) to the namespace that the node runs in; no real interface is touched."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -101,7 +99,7 @@ class Onlooker:
             text=True,
         )
 
-    def __enter__(self) -> Onlooker:
+    def __enter__(self) -> "Onlooker":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """A site's graph with its cameras' nodes in one process gives what the replay without DDS gives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

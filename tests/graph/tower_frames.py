@@ -1,7 +1,5 @@
 """Frames of a small site's tower, sent as a driver would send them now."""
 
-from __future__ import annotations
-
 import time
 
 from bystander import Bystander

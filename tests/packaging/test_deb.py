@@ -1,7 +1,5 @@
 """The Debian package, built and tried on a clean Debian with a real systemd. Minutes, root and a package server."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What replay tests share: the small site with its recording, and what an archive makes of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """An assessment of the demo's map, from the recording to the report, by an interpreter who knows the truth."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

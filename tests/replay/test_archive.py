@@ -1,7 +1,5 @@
 """`ltm reprocess`: whatever works an archive, in whatever parts, its map is that of the serial offline replay."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`ltm reprocess` of archives on disks that fail."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 

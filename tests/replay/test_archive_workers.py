@@ -1,7 +1,5 @@
 """`ltm reprocess` by workers that die."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

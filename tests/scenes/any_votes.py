@@ -1,7 +1,5 @@
 """Any votes that the wire lets through, for what must hold whatever frames come (hypothesis)."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 

@@ -1,7 +1,5 @@
 """`ltm reprocess` onto a small disk: `unshare -m python archive_disk_process.py CASE MOUNT_POINT SITE_FOLDER`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What workers of an archive do in place of a task; a process of its own must be able to import it."""
 
-from __future__ import annotations
-
 import os
 
 from ltm_core.base.kernels import kernel_threads

@@ -1,7 +1,5 @@
 """Call what only kernels call."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

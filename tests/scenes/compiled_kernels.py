@@ -4,8 +4,6 @@ Numba keeps what it has compiled in a folder that all processes share, but two t
 compile it: cold, every node of a graph and every worker would spend a minute or two on the same.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """Whether a depth knows what is nearer: pairs of points in the right order."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

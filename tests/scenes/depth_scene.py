@@ -1,7 +1,5 @@
 """A valley with two ridges, a stand of trees that its DEM does not know, a photo of it and a network's view of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

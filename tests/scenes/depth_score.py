@@ -1,7 +1,5 @@
 """Depth scores computed plainly, all pixels in memory at once: what the tally of `ltm-lab eval` is held against."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The fuel map on a small disk of its own: `unshare -m python disk_process.py CASE MOUNT_POINT SITE`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ltm_ros.fuel_map.services import FuelMapConfig

@@ -1,7 +1,5 @@
 """A grid of a few fuel cells with a prior, votes for them, and a network whose errors are known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltm_core.fuel.evidence import EvidenceMap

@@ -1,7 +1,5 @@
 """How many examples hypothesis draws where each costs more than a hundredth of a second."""
 
-from __future__ import annotations
-
 import os
 
 from hypothesis import settings

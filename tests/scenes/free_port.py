@@ -1,7 +1,5 @@
 """A TCP port for a server of a test."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -1,7 +1,5 @@
 """A site without pictures, and frames of votes on it that a number makes: the same number, the same frame."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

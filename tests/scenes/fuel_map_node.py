@@ -1,7 +1,5 @@
 """The fuel map's node without its transport: a handler that a test feeds with numbered frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

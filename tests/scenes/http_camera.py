@@ -1,8 +1,6 @@
 """An HTTP camera on loopback, as cameras are: digest and basic authentication with a lock-out, a clock of its own,
 conditional requests, snapshots and MJPEG; and everything that they do wrong. `routes` takes more, such as a head's."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import re
@@ -105,7 +103,7 @@ class HttpCamera:
                 self._picture = moment, behaviour.render(moment)
             return self._picture
 
-    def allows(self, request: Request) -> bool:
+    def allows(self, request: "Request") -> bool:
         """Whether user and password are right; answers with a challenge where they are not."""
         behaviour = self.behaviour
         if not behaviour.authentication:

@@ -1,7 +1,5 @@
 """Which kernels a process has compiled, or loaded, so far."""
 
-from __future__ import annotations
-
 import sys
 
 from numba.core.dispatcher import Dispatcher

@@ -1,7 +1,5 @@
 """Scenes to locate in: cameras over terrain of a closed form, and marks of places on it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

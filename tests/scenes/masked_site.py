@@ -1,7 +1,5 @@
 """The small site with masks: a mast from the sky down to the ground, as a PNG, and polygons on the camera that pans."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A camera before mountains: a DEM of hills, and pictures of it as its own tracer sees it."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

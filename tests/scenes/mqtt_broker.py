@@ -1,7 +1,5 @@
 """A real mosquitto with the configuration that `ltm certs` writes; where there is none, its tests skip."""
 
-from __future__ import annotations
-
 import shutil
 import socket
 import subprocess
@@ -53,7 +51,7 @@ class Broker:
             self._process.wait()
             self._process = None
 
-    def __enter__(self) -> Broker:
+    def __enter__(self) -> "Broker":
         self.start()
         return self
 

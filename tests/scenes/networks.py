@@ -1,7 +1,5 @@
 """Small ONNX networks with known answers: a linear colour classifier, in every layout that a manifest can state."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A service manager's socket, which hears what a service tells of itself."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 
@@ -16,7 +14,7 @@ class NotifySocket:
         self._socket.bind(f"\0{self.address[1:]}" if self.address[0] == "@" else self.address)
         self._heard: list[tuple[str, str]] = []
 
-    def __enter__(self) -> NotifySocket:
+    def __enter__(self) -> "NotifySocket":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """An outlet that keeps what a handler sends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Twelve kinds of bars, frames, captions and logos drawn onto a photo."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

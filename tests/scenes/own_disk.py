@@ -1,7 +1,5 @@
 """A small disk that only one process sees: a tmpfs in a mount namespace of its own."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A small site with a phone as its camera, and what a phone stores of a photo there."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

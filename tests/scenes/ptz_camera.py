@@ -1,8 +1,6 @@
 """A pan-tilt-zoom camera on loopback: a PTZ head that takes its time to turn, asked as those of Axis
 (VAPIX), Hikvision (ISAPI) and ONVIF are; its pictures show where it really looks."""
 
-from __future__ import annotations
-
 import base64
 import calendar
 import hashlib

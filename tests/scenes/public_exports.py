@@ -1,7 +1,5 @@
 """Tiny ONNX networks with the inputs and outputs of public exports, and the files that hubs put beside them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

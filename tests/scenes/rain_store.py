@@ -1,7 +1,5 @@
 """A tile store of made-up rain, two by two tiles, for tests of the store itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 For answers that `http.server` cannot give: each is sent as it is.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import socket

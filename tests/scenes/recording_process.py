@@ -1,7 +1,5 @@
 """A recording on a small disk of its own: `unshare -m python recording_process.py CASE MOUNT_POINT`."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """A region of two towers without a broker: certificates, a site of the region, one of a tower, and sealed frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small site for the Rerun view, and a reader of what a recording holds."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any

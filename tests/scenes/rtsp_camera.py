@@ -1,7 +1,5 @@
 """An RTSP camera on loopback: GStreamer's server in a process of its own; a skip says where that cannot be had."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Land cover and ground of a small simulated site, and what a change makes of them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltm_core.base.types import BoolArray, UInt8Array

@@ -1,8 +1,6 @@
 """The web services of `ltm init` on loopback, with the protocols of the real ones: GeoTIFF tiles by range requests, the
 products API of The National Map, a STAC API, OpenTopography, LANDFIRE's product service and a WCS 2.0."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -119,7 +117,7 @@ class SiteServices:
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}"
         threading.Thread(target=self._server.serve_forever, args=(0.02,), daemon=True).start()
 
-    def __enter__(self) -> SiteServices:
+    def __enter__(self) -> "SiteServices":
         return self
 
     def __exit__(self, *_: object) -> None:

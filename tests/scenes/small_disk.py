@@ -1,7 +1,5 @@
 """A disk that is full at will: SQLite is told to let its files grow no more, and fails as on a full one."""
 
-from __future__ import annotations
-
 import contextlib
 import sqlite3
 from typing import Any

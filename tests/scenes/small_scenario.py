@@ -1,7 +1,5 @@
 """A scenario small enough for tests of the simulator: a slide, a burn, a lake and houses, seen by two cameras."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from ltm_lab.simulator.scenario import Scenario

@@ -4,8 +4,6 @@ Its ground is painted in squares of two covers, and the photos show that paint w
 what must come out is known: depth is the tracer's answer, and a fuel cell's class is its square's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

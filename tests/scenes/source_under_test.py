@@ -1,7 +1,5 @@
 """A camera's source with a clock that a test turns, and what it delivers."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass, field
 from typing import Any

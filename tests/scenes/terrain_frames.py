@@ -1,7 +1,5 @@
 """A small site with a living surface, and what its cameras send of a surface that has changed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A small hillside with a patch that is raised or lowered, and what two exact cameras measure of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

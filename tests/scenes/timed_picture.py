@@ -1,8 +1,6 @@
 """Pictures that show when they were made, so that a stamp can be held against the truth: milliseconds as black and
 white squares in the upper left corner of a coloured scene."""
 
-from __future__ import annotations
-
 import io
 
 import cv2

@@ -1,7 +1,5 @@
 """Small drawn frames to train on, and a training of seconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

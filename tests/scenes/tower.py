@@ -1,7 +1,5 @@
 """An installed tower in a folder: releases of small shell programs, a store, and a service that runs on paper."""
 
-from __future__ import annotations
-
 import contextlib
 import sqlite3
 import subprocess

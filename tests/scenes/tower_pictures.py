@@ -1,8 +1,6 @@
 """Pictures of a tower's camera as they are drawn here: sky with other clouds each time, hills, a lens's dark corners, a
 caption whose time runs, and a lattice mast."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont

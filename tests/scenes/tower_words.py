@@ -1,7 +1,5 @@
 """What the nodes of a tower with two cameras say on /diagnostics, in all its kinds of keys."""
 
-from __future__ import annotations
-
 from ltm_ros.runtime.clocks import KernelClock
 from ltm_ros.runtime.health import Health
 from ltm_ros.tower.machine import Disk, Machine

@@ -1,7 +1,5 @@
 """Real terrain that tracers are compared on; random cameras over it; what counts as equal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The votes of a traced image in one call."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

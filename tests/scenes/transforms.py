@@ -1,7 +1,5 @@
 """Transforms between frames, for tests."""
 
-from __future__ import annotations
-
 from geometry_msgs.msg import TransformStamped
 
 from ltm_core.geometry.pose import Pose

@@ -1,7 +1,5 @@
 """Waiting for a condition, never for a time: tests neither hurry a busy machine nor idle on a quiet one."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@ Its features are random ones of colours at three scales; the last layer, by ridg
 embedding of the word for what a pixel shows. The text encoder knows some words for each label.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -2,8 +2,6 @@
 Python example of the README is run. Nothing heavy is: commands are held against the command line's own description.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

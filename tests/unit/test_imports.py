@@ -1,8 +1,6 @@
 """Check that imports go one way: ltm_lab -> ltm_ros -> ltm_msgs_py -> ltm_core, no ROS in ltm_core, no cycle between
 folders or files. The sources are read, so that imports inside functions count too."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Write the files beside an export, QGIS styles and STAC items, and KMZ for globes."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

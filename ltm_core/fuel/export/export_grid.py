@@ -1,7 +1,5 @@
 """Transfer a site's fuel map and terrain to the grid and CRS of an exported file."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """The eight bands of a fire model's landscape: elevation, slope, aspect, fuel model and four of canopy, on one grid."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -4,8 +4,6 @@ Layout of LCP files (FARSITE, FlamMap): a header of 7316 bytes, then int16 cells
 of a cell together; little-endian. The CRS is in a .prj file. Source: FlamMap's file format documentation, and GDAL's
 reader as a check. GDAL's own writer swaps the east edges and writes class lists 32768 too high."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Provenance of an exported fuel map: its site and date, the share that was seen, and its sources."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

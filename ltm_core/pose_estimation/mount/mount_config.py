@@ -1,7 +1,5 @@
 """The mount of a PTZ head in a site file, as written by `ltm pose mount`."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Self
 

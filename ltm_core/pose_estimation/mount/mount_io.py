@@ -1,7 +1,5 @@
 """Read landmarks and photos of a mount's presets; store the state of a mount across restarts."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Sequence

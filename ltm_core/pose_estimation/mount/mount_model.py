@@ -3,8 +3,6 @@
 R = R_mount R(pan, tilt + tilt zero): the mount's azimuth, pitch and roll turn the PTZ head as a whole, pan turns about
 the PTZ head's own upright axis, tilt about the camera's right."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -94,7 +92,7 @@ class MountModel:
 
     def corrected(
         self, rotation: Float64Array, tilt_zero: float, shift: Float64Array, covariance: Float64Array
-    ) -> MountModel:
+    ) -> "MountModel":
         """Return the mount with a correction as in `MountFit`."""
         base = turned(self.base, rotation, shift)
         return replace(self, base=base, tilt_zero=self.tilt_zero + tilt_zero, covariance=covariance)
@@ -105,7 +103,7 @@ class MountModel:
         to_angles = self._to_angles()
         return np.asarray(to_angles @ self.covariance[3:, 3:] @ to_angles.T, np.float64)
 
-    def with_angle_covariance(self, angles: Float64Array) -> MountModel:
+    def with_angle_covariance(self, angles: Float64Array) -> "MountModel":
         """Return the mount with such a covariance (4, 4), rad^2."""
         to_map = np.linalg.inv(self._to_angles())
         covariance = self.covariance.copy()

@@ -4,8 +4,6 @@ Shared by all images are the mount's rotation, the zero of its tilt axis and its
 of the focal length at each zoom; each preset has its own error of the encoders. From a start in closed
 form (`closed_forms`), least squares in the image, as in `resection`."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace

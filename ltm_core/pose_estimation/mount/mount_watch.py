@@ -4,8 +4,6 @@ The mount's error is found in several clear images together (`mount_fit`). From 
 terrain from the corrected pose; if most of the last ones show another viewing direction, the mount is reported as
 slipped, its poses are not used, and the error is estimated again."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import replace

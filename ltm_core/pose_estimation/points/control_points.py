@@ -4,8 +4,6 @@ With the position known, two points and a focal length give a rotation in closed
 points give up to four poses (P3P: Ding et al., CVPR 2023, in OpenCV). Pairs, triples and focal lengths are scored by
 how many points they bring near their marks, after the idea of RANSAC (Fischler and Bolles 1981)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 

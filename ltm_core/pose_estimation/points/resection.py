@@ -4,8 +4,6 @@ The adjustment minimises the distances in the image: a coarse search (`control_p
 squares without outliers, and a test of which parameters the points determine. Source: Luhmann et al., Close-Range
 Photogrammetry, 3rd ed., 4.2.3 (space resection), 2.4 (adjustment, precision)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Adjust the parameters of a resection; decide which of them the control points determine. Source: see `resection`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args

@@ -1,7 +1,5 @@
 """Read and write the files of `ltm pose`: control points, initial guess, fitted pose file and report."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

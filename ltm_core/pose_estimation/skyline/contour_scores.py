@@ -1,7 +1,5 @@
 """Prepare the evidence of a photo, and score how well the terrain's contours match its edges, for many poses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -43,7 +41,7 @@ class ContourDirections:
     every: int = 1
 
     @classmethod
-    def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> ContourDirections:
+    def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> "ContourDirections":
         """Return the points beyond `nearest` metres; `with_horizon`: including the horizon where it is a ridge."""
         c = horizon.contours
         here = np.flatnonzero((c.following >= 0) & (c.range > nearest))
@@ -61,7 +59,7 @@ class ContourDirections:
         seen, following = (_directions(azimuth[at], tangent[at]) for at in (here, after))
         return cls(seen, following, ranges[here], cells[here])
 
-    def in_view(self, pose: Pose, camera: Camera, most: int) -> ContourDirections:
+    def in_view(self, pose: Pose, camera: Camera, most: int) -> "ContourDirections":
         """Return at most `most` points in front of a camera or slightly beside it."""
         ahead = self.here @ pose.rotation
         wide = 1.15 * max(camera.cx, camera.width - camera.cx) / camera.fx
@@ -69,11 +67,11 @@ class ContourDirections:
         every = max(1, -(-len(kept) // most))
         return self._only(kept[::every], every)
 
-    def thinned(self, every: int) -> ContourDirections:
+    def thinned(self, every: int) -> "ContourDirections":
         """Return every n-th point."""
         return self._only(np.arange(0, len(self.range), every), every)
 
-    def _only(self, kept: IndexArray, every: int) -> ContourDirections:
+    def _only(self, kept: IndexArray, every: int) -> "ContourDirections":
         here, following = self.here[kept], self.following[kept]
         return ContourDirections(here, following, self.range[kept], self.cell[kept], self.every * every)
 

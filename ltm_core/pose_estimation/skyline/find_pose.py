@@ -10,8 +10,6 @@
 
 With an unknown lens, pose, focal length and k1 are found together; a wrong lens makes every pose ambiguous."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -59,7 +57,7 @@ class PictureSearch:
     def accepted(self) -> bool:
         return self.verdict.word == "accepted"
 
-    def doubted(self, reason: str) -> PictureSearch:
+    def doubted(self, reason: str) -> "PictureSearch":
         """Return the result with a verdict that is not accepted."""
         return replace(self, verdict=replace(self.verdict, word="ambiguous", reason=reason)) if self.accepted else self
 

@@ -1,7 +1,5 @@
 """Find the edges of a photo that poses are compared with: contours, and the sky's lower edge."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2
@@ -73,7 +71,7 @@ class ImageSkyline:
     cover: UInt8Array
     spacing: float
 
-    def only(self, kept: BoolArray) -> ImageSkyline:
+    def only(self, kept: BoolArray) -> "ImageSkyline":
         """Return the skyline of those columns (K,) only."""
         columns = {name: getattr(self, name)[kept] for name in ("u", "v", "sigma_px", "cover")}
         return replace(self, **columns)

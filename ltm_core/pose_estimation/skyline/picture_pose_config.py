@@ -2,8 +2,6 @@
 
 Labels of far crests are more often wrong, so that heights by them draw together and spread."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

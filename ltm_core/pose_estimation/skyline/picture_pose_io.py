@@ -1,7 +1,5 @@
 """Set up the search of an image's pose from a guess file, and write the result."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

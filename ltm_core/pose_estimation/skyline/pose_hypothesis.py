@@ -1,7 +1,5 @@
 """Hold a candidate pose of a photo, and decide whether it is accepted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Unknowns: shifts along the map's x, y, z (m), rotations about them (rad), the logarithm of the focal length. Weights are
 those of `skyline_search`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 
@@ -61,7 +59,7 @@ class RidgeObservations(Observations):
     shared: Float64Array
     ground: Float64Array
 
-    def only(self, kept: IndexArray) -> RidgeObservations:
+    def only(self, kept: IndexArray) -> "RidgeObservations":
         """Return those places (K,) only."""
         return RidgeObservations(*(getattr(self, field.name)[kept] for field in fields(self)))
 

@@ -1,7 +1,5 @@
 """Prior knowledge of a pose before its image is used."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -43,7 +41,7 @@ class PosePrior:
             raise PoseError(f"sigmas of position and height must be metres, 0 or more, got {places}")
 
     @classmethod
-    def of_covariance(cls, pose: Pose, covariance: Float64Array) -> PosePrior:
+    def of_covariance(cls, pose: Pose, covariance: Float64Array) -> "PosePrior":
         """Return the prior of a (6, 6) covariance as in `pose_covariance`. Raises PoseError if its angles have none."""
         x, y, height, azimuth, pitch, roll = pose_sigmas(pose, covariance).tolist()
         return cls(pose, azimuth, pitch, roll, max(x, y), height)

@@ -7,8 +7,6 @@ A pose may then settle on the ridges alone. What grows on a ridge stands over th
 few metres on. Where that is left aside, a stand of trees pulls a pose as hard as the ground does. There errors are a
 Gaussian process over the ground, so that the shape of a ridge counts for more than its height."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

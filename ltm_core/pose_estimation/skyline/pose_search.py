@@ -1,7 +1,5 @@
 """Search poses by the skyline, and by ridges alone."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

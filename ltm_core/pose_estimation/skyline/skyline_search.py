@@ -7,8 +7,6 @@ all skylines between it and the bound of that land are alike likely. Where trees
 either is what is seen. Neighbouring columns are alike: all of an image count as a few, and in the fit and its
 covariance those within one correlation length of a crest count as one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

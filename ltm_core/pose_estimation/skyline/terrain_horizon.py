@@ -5,8 +5,6 @@ meets it, (h - z0) / r - bend r (`geodesy.ray_bend`). Along each azimuth the run
 horizon; where ground comes into view again behind a hidden gap, its former maximum is a point of an occluding contour.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

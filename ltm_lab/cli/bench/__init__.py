@@ -1,7 +1,5 @@
 """`ltm-lab bench`: measure the cost of tracing, of the site graph, of archives and of commands."""
 
-from __future__ import annotations
-
 import typer
 
 from ltm_lab.cli.bench.archive import archive

@@ -1,7 +1,5 @@
 """`ltm-lab bench archive`: how fast archives are reprocessed, and whether a month always gives the same map."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`ltm-lab bench graph`: throughput, latency, processor time and memory of a whole site graph on this machine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -59,7 +57,7 @@ def graph(
     write_json(json_path, state, runs=[result.as_dict() for result in results])
 
 
-def _rows(results: list[GraphResult]) -> dict[str, Callable[[GraphResult], object]]:
+def _rows(results: "list[GraphResult]") -> "dict[str, Callable[[GraphResult], object]]":
     """Return the rows of the table by name."""
     jobs = dict.fromkeys(job for result in results for job in result.cpu_ms_a_frame if job != "all")
     return {
@@ -87,11 +85,11 @@ def _rows(results: list[GraphResult]) -> dict[str, Callable[[GraphResult], objec
     }
 
 
-def _job_ms(job: str, result: GraphResult) -> str:
+def _job_ms(job: str, result: "GraphResult") -> str:
     return f"{result.cpu_ms_a_frame.get(job, 0.0):.1f}"
 
 
-def _layouts(text: str) -> list[Layout | None]:
+def _layouts(text: str) -> "list[Layout | None]":
     """Return the requested layouts, or the default alone. Raises BadParameter."""
     known: dict[str, Layout] = {"site": "site", "node": "node"}
     wanted = [part.strip() for part in text.split(",") if part.strip()]

@@ -1,7 +1,5 @@
 """`ltm-lab bench kernels`: processor time to compile the kernels."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`ltm-lab bench memory`: the peak memory of each command on a large DEM."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

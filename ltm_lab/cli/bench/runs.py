@@ -1,7 +1,5 @@
 """What the benchmark commands share: numbers in options, the machine's description, tables, and JSON files."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +24,7 @@ def numbers(text: str) -> list[float]:
     return values
 
 
-def print_conditions(console: Console, machine: Machine) -> None:
+def print_conditions(console: "Console", machine: "Machine") -> None:
     """Print processor, load and versions in one line."""
     load = " ".join(f"{v:.2f}" for v in machine.load_average)
     versions = ", ".join(f"{name} {number}" for name, number in machine.versions.items())
@@ -34,7 +32,7 @@ def print_conditions(console: Console, machine: Machine) -> None:
 
 
 def print_table(
-    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str = ""
+    console: "Console", title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], caption: str = ""
 ) -> None:
     """Print a table: the first column names what the others measure."""
     from rich.table import Table
@@ -47,7 +45,7 @@ def print_table(
     console.print(table)
 
 
-def write_json(path: Path | None, machine: Machine, **figures: Any) -> None:
+def write_json(path: Path | None, machine: "Machine", **figures: Any) -> None:
     """Write the figures with the machine's description, if a file was requested."""
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,5 @@
 """`ltm-lab bench slow-link`: `ltm view --connect` over a slow link."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`ltm-lab bench trace`: time and memory of our tracer beside Embree, Mitsuba and the paper's march."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

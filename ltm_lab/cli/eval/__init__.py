@@ -4,8 +4,6 @@ A part is one module `ltm_lab/cli/eval/<part>.py` with a function of the same na
 runs.
 """
 
-from __future__ import annotations
-
 import typer
 from typer.core import TyperGroup
 

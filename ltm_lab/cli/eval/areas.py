@@ -1,7 +1,5 @@
 """`ltm-lab eval areas`: label networks on the areas named in the listed photographs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`ltm-lab eval assessment`: how often the 95 % intervals of `ltm assess report` contain the truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

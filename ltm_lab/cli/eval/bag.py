@@ -1,7 +1,5 @@
 """`ltm-lab eval BAG`: scores a recorded run against the truth that was recorded or kept with it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`ltm-lab eval depth`: scores traced, network and fused depth against truth, by range."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from enum import StrEnum
@@ -171,7 +169,7 @@ _ALIGNED = (
 )
 
 
-def _comparison(scores: Sequence[tuple[str, DepthEvaluationScore]]) -> Iterator[tuple[str, ...]]:
+def _comparison(scores: "Sequence[tuple[str, DepthEvaluationScore]]") -> Iterator[tuple[str, ...]]:
     """Yield a row for each source of each network; traced depth once."""
     for number, (name, score) in enumerate(scores):
         by_group = {(row.source, row.group): row.scores for row in score.rows}
@@ -182,7 +180,7 @@ def _comparison(scores: Sequence[tuple[str, DepthEvaluationScore]]) -> Iterator[
         yield ()
 
 
-def _of_network(name: str, sources: Mapping[str, Float32Array]) -> dict[str, Float32Array]:
+def _of_network(name: str, sources: "Mapping[str, Float32Array]") -> "dict[str, Float32Array]":
     """Return what a picture of several networks shows of one."""
     kept = {key: depth for key, depth in sources.items() if key in ("traced", "surface")}
     return kept | {f"{name} {key}": sources[key] for key in ("aligned", "fused")}
@@ -192,7 +190,7 @@ def _short(metres: float) -> str:
     return f"{metres:,.1f}" if metres < 100 else f"{metres:,.0f}"
 
 
-def _rows(score: DepthEvaluationScore) -> Iterator[tuple[str, ...]]:
+def _rows(score: "DepthEvaluationScore") -> Iterator[tuple[str, ...]]:
     from ltm_ros.demo.report import bin_name
 
     for group in dict.fromkeys(row.group for row in score.rows):
@@ -205,13 +203,13 @@ def _rows(score: DepthEvaluationScore) -> Iterator[tuple[str, ...]]:
         yield ()
 
 
-def _verdicts(score: DepthEvaluationScore) -> tuple[object, ...]:
+def _verdicts(score: "DepthEvaluationScore") -> tuple[object, ...]:
     said = (score.verdicts.get(verdict, 0) for verdict in ("pose_suspected", "network_unusable"))
     errors = (f"{score.rmse(source):,.1f} m" for source in ("traced", "fused"))
     return f"{score.pose_error_deg:g}", score.frames, score.checked, *said, *errors
 
 
-def _as_json(score: DepthEvaluationScore) -> dict[str, Any]:
+def _as_json(score: "DepthEvaluationScore") -> dict[str, Any]:
     rows = [
         {"source": row.source, "group": row.group, "bins": [asdict(one) for one in row.scores]} for row in score.rows
     ]

@@ -1,7 +1,5 @@
 """`ltm-lab eval fuel`: scores the evidence map and the paper's majority vote, in trials or on a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -83,7 +81,7 @@ def fuel(
     report(console, state, scores, json_path)
 
 
-def _print_trials(console: Console, scores: Sequence[TrialScore]) -> None:
+def _print_trials(console: "Console", scores: "Sequence[TrialScore]") -> None:
     import numpy as np
 
     from ltm_lab.cli.eval.score_table import print_table
@@ -173,7 +171,7 @@ def _score_recording(
         write_figures(path, figures)
 
 
-def _accuracy(changes: MapScore) -> dict[str, float]:
+def _accuracy(changes: "MapScore") -> dict[str, float]:
     from ltm_lab.evaluation.fuel.trial_score import users_accuracy
 
     return {
@@ -184,11 +182,11 @@ def _accuracy(changes: MapScore) -> dict[str, float]:
     }
 
 
-def _share(share: Share) -> str:
+def _share(share: "Share") -> str:
     return f"{share.value:.2%} ({share.count}/{share.of})" if share.of else ""
 
 
-def _right_on(errors: LabelErrors) -> str:
+def _right_on(errors: "LabelErrors") -> str:
     import numpy as np
 
     from ltm_core.fuel.life_form import LifeForm

@@ -1,7 +1,5 @@
 """`ltm-lab eval gallery`: real photos with what the system makes of them, as a page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

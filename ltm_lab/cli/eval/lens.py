@@ -1,7 +1,5 @@
 """`ltm-lab eval lens`: unknown lenses, on a surveyed webcam and on rendered images that a lens bends."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

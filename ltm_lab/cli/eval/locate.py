@@ -1,7 +1,5 @@
 """`ltm-lab eval locate`: scores located places against smoke at known places, and against surveyed control points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -91,7 +89,7 @@ def locate(
     report(console, state, trials, json_path)
 
 
-def _print_smoke(console: Console, trials: Sequence[SmokeTrial], boxed: bool) -> None:
+def _print_smoke(console: "Console", trials: "Sequence[SmokeTrial]", boxed: bool) -> None:
     """Print a column for each case: there are more figures than a line has room for."""
     from ltm_lab.cli.eval.score_table import print_table
     from ltm_lab.evaluation.locating.smoke_score import Case, SmokeSummary
@@ -129,7 +127,7 @@ def _print_smoke(console: Console, trials: Sequence[SmokeTrial], boxed: bool) ->
 
 def _located(
     points: Path, guess: Path, rasters: Sequence[Path], first_pixel: float, dem_error: float | None
-) -> tuple[list[LocatedPoint], float]:
+) -> "tuple[list[LocatedPoint], float]":
     """Return the located points and the sigma of the terrain's heights."""
     from ltm_core.geometry.geodesy import ray_bend
     from ltm_core.locating.settings import LocatingConfig
@@ -148,7 +146,7 @@ def _located(
     return located_points(read, setup.camera, setup.position, setup.dem, bend, config), config.dem_sigma
 
 
-def _print_points(console: Console, found: Sequence[LocatedPoint]) -> None:
+def _print_points(console: "Console", found: "Sequence[LocatedPoint]") -> None:
     import numpy as np
 
     from ltm_lab.cli.eval.score_table import print_table

@@ -1,7 +1,5 @@
 """`ltm-lab eval photo`: a real photo with surveyed control points through the live graph."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

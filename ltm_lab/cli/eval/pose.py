@@ -1,7 +1,5 @@
 """`ltm-lab eval pose`: poses found in rendered images, or in a real one with control points, against the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -107,7 +105,7 @@ def pose(
     report(console, state, found, json_path, scores={name: asdict(score) for name, score in scores.items()})
 
 
-def _print_scores(console: Console, scores: dict[str, PoseScore]) -> None:
+def _print_scores(console: "Console", scores: "dict[str, PoseScore]") -> None:
     from ltm_lab.cli.eval.score_table import print_table
 
     columns = ("skyline, pose from", "trials", "accepted", "azimuth", "pitch", "roll", "place", "place before",
@@ -125,7 +123,7 @@ def _print_scores(console: Console, scores: dict[str, PoseScore]) -> None:
     print_table(console, title, columns, rows)
 
 
-def _print_heads(console: Console, heads: list[MountTrial]) -> None:
+def _print_heads(console: "Console", heads: "list[MountTrial]") -> None:
     import numpy as np
 
     from ltm_lab.cli.eval.score_table import print_table

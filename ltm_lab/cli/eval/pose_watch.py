@@ -1,7 +1,5 @@
 """`ltm-lab eval pose-watch`: the live watch of mounts on rendered frames: false alarms, detected turns, time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,7 +42,7 @@ def pose_watch(
     report(console, state, trials, json_path, turn_deg=turn, sigma_deg=sigma)
 
 
-def _rows(trials: list[WatchTrial]) -> list[tuple[str, str]]:
+def _rows(trials: "list[WatchTrial]") -> list[tuple[str, str]]:
     import numpy as np
 
     from ltm_lab.evaluation.pose.pose_trial import Spread

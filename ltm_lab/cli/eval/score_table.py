@@ -1,7 +1,5 @@
 """Read lists of names, and print tables of scores."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """`ltm-lab eval segmentation`: compares label networks on labelled frames, rendered ones and photos."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

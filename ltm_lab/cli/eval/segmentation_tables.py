@@ -1,7 +1,5 @@
 """Prints scores of label networks: side by side, by class, and confusion."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -15,12 +13,12 @@ if TYPE_CHECKING:
     from ltm_lab.evaluation.segmentation.network_score import LabelScore
 
 
-def print_scores(console: Console, names: Sequence[str], scores: Mapping[str, LabelScore], title: str) -> None:
+def print_scores(console: Console, names: Sequence[str], scores: "Mapping[str, LabelScore]", title: str) -> None:
     """Print a column for each network and a row for each figure; classes that do not occur in truth are left out."""
     print_table(console, title, ("", *scores), _rows(names, list(scores.values())))
 
 
-def print_class_scores(console: Console, names: Sequence[str], score: SegmentationScore, title: str) -> None:
+def print_class_scores(console: Console, names: Sequence[str], score: "SegmentationScore", title: str) -> None:
     """Print the scores of one network by class."""
     rows: list[tuple[str, ...]] = []
     for k, name in enumerate(names):
@@ -36,7 +34,7 @@ def print_class_scores(console: Console, names: Sequence[str], score: Segmentati
     print_table(console, title, ("class", "share of truth", "IoU", "F1", "precision", "recall"), rows)
 
 
-def print_confusion(console: Console, names: Sequence[str], score: SegmentationScore, title: str) -> None:
+def print_confusion(console: Console, names: Sequence[str], score: "SegmentationScore", title: str) -> None:
     """Print the shares of each true class by label; the last column is what was left unlabelled."""
     rows = []
     for k, name in enumerate(names):
@@ -46,7 +44,7 @@ def print_confusion(console: Console, names: Sequence[str], score: SegmentationS
     print_table(console, f"{title}: rows are true, columns given", ("", *names, "unlabelled"), rows)
 
 
-def _rows(names: Sequence[str], scores: list[LabelScore]) -> list[tuple[str, ...]]:
+def _rows(names: Sequence[str], scores: "list[LabelScore]") -> list[tuple[str, ...]]:
     first = scores[0].labels
     rows: list[tuple[str, ...]] = [
         (

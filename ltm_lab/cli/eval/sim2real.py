@@ -1,7 +1,5 @@
 """`ltm-lab eval sim2real REAL SIM`: measures how far simulated pictures are from real ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`ltm-lab eval terrain`: score the surface map on exact scenes, on a real site, or on simulated frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -185,21 +183,21 @@ def _simulated_frames(
 _COLUMNS = ("seen cells", "changed", "precision", "recall", "false of seen", "RMSE before m", "after m")
 
 
-def _columns(change: ChangeScore, before: SurfaceScore, after: SurfaceScore) -> tuple[str, ...]:
+def _columns(change: "ChangeScore", before: "SurfaceScore", after: "SurfaceScore") -> tuple[str, ...]:
     ratios = (_shown(value, ".2f") for value in (change.precision, change.recall))
     false = f"{change.false_alarms / max(change.cells, 1):.2%}"
     heights = (_shown(score.rmse, ".2f") for score in (before, after))
     return str(change.cells), str(change.hits + change.misses), *ratios, false, *heights
 
 
-def _figures(change: ChangeScore, before: SurfaceScore, after: SurfaceScore) -> dict[str, Any]:
+def _figures(change: "ChangeScore", before: "SurfaceScore", after: "SurfaceScore") -> dict[str, Any]:
     from dataclasses import asdict
 
     ratios = {"precision": change.precision, "recall": change.recall}
     return asdict(change) | ratios | {"rmse_before_m": before.rmse, "rmse_after_m": after.rmse}
 
 
-def _draw(place: Path, layers: SurfaceLayers, truth: BoolArray) -> None:
+def _draw(place: Path, layers: "SurfaceLayers", truth: "BoolArray") -> None:
     from ltm_core.pictures import to_png
     from ltm_lab.evaluation.pictures.surface_change import surface_sheet
 
@@ -211,7 +209,7 @@ def _draw(place: Path, layers: SurfaceLayers, truth: BoolArray) -> None:
     place.write_bytes(to_png(sheet))
 
 
-def _spread(spread: Spread, form: str) -> str:
+def _spread(spread: "Spread", form: str) -> str:
     return f"{spread.mean:{form}} ({spread.worst:{form}})" if spread.mean == spread.mean else ""
 
 

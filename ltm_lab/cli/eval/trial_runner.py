@@ -4,8 +4,6 @@ A job is what one call works on, such as a rendered site or a seed. It draws its
 are the same whatever the number of processes.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor

@@ -1,7 +1,5 @@
 """`ltm-lab eval update`: test whether traced depth follows the surface that several views have confirmed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -3,8 +3,6 @@
 It also labels photos to train on. `ltm-lab train CONFIG` is short for `ltm-lab train run CONFIG`.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -75,7 +73,7 @@ def run(
     report_scores(settings, manifest, split, labels, threads, console)
 
 
-def _with_steps(settings: TrainingConfig, steps: int) -> TrainingConfig:
+def _with_steps(settings: "TrainingConfig", steps: int) -> "TrainingConfig":
     return settings.model_copy(update={"optimiser": settings.optimiser.model_copy(update={"steps": steps})})
 
 

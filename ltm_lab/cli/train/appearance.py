@@ -1,7 +1,5 @@
 """`ltm-lab train appearance`: fits what a fuel cell of each life form looks like to a network, for the fuel map."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

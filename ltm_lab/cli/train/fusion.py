@@ -1,7 +1,5 @@
 """`ltm-lab train fusion`: the constants of depth fusion, fitted to rendered frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`ltm-lab train photos`: labels real photos with teacher networks, to train on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -106,7 +104,7 @@ def _write_areas(table: Path, images: Path, out: Path) -> None:
             _write(out / f"areas_{role}" / photo.name, image, labels)
 
 
-def _opinions(sky: Segmenter, scene: Segmenter, photo: UInt8Array, size: tuple[int, int]) -> Opinions:
+def _opinions(sky: "Segmenter", scene: "Segmenter", photo: UInt8Array, size: tuple[int, int]) -> "Opinions":
     import cv2
     import numpy as np
 

@@ -1,7 +1,5 @@
 """Runs one training on the terminal: progress, checkpoint, curve, export, calibration."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +23,8 @@ def need_torch() -> None:
 
 
 def trained(
-    settings: TrainingConfig,
-    split: Split,
+    settings: "TrainingConfig",
+    split: "Split",
     labels: LabelSet,
     out: Path,
     threads: int,
@@ -73,7 +71,7 @@ def trained(
     return manifest
 
 
-def _run(settings: TrainingConfig, classes: int, checkpoint: Path, resume: bool, start: str | None):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _run(settings: "TrainingConfig", classes: int, checkpoint: Path, resume: bool, start: str | None):  # type: ignore[no-untyped-def]  # noqa: ANN202
     from ltm_lab.training import loop
 
     if resume:
@@ -104,7 +102,7 @@ def _weights(start: str, fixed: int) -> dict[str, Any]:
 
 
 def report_scores(
-    settings: TrainingConfig, manifest: Path, split: Split, labels: LabelSet, threads: int, console: Console
+    settings: "TrainingConfig", manifest: Path, split: "Split", labels: LabelSet, threads: int, console: Console
 ) -> None:
     """Print the finished network's scores on the held-out sets and write them to `<name>_scores.json` beside it."""
     import json

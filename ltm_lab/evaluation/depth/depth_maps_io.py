@@ -1,7 +1,5 @@
 """Reads depth maps from other sources, such as UniDepth, Depth Pro, Depth Anything or a lidar."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

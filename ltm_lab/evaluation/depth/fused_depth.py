@@ -1,7 +1,5 @@
 """Scores traced, network and fused depth against truth, with exact poses and with poses wrong by known angles."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Frames with true depth, rendered, recorded or real, with what the system knows of their place."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

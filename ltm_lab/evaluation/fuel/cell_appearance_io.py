@@ -1,7 +1,5 @@
 """`ltm-lab train appearance`: fits cell appearance on simulated sites and tests it on held-out sites."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

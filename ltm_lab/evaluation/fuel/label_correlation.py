@@ -3,8 +3,6 @@
 A look at a cell is a pixel's label, expected with the shares that are known of the network; or the appearance of the
 whole cell, where that is known (`ltm_core.fuel.label_measurement`)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

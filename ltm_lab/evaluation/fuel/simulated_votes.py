@@ -1,7 +1,5 @@
 """Votes of simulated frames, formed as the graph forms them, with the true life forms of their cells."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Pixels are traced over the terrain with each frame's true pose to find what they
 for them; and they are voted with the pose that is believed. Only that is simulated: votes, evidence and majority are
 the system's own. `ltm-lab eval fuel` runs the trials."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass

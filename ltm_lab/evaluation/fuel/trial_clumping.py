@@ -1,7 +1,5 @@
 """Simulated correlation of label errors in trials, by network, view and frame, and how an evaluation measures it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Terrain, vegetation, a changed patch, a partly wrong prior map and towers for the trials of the fuel map."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

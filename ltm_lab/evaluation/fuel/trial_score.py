@@ -1,7 +1,5 @@
 """Runs trials and scores the evidence map and the majority vote on them."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path

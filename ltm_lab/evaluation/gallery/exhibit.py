@@ -1,7 +1,5 @@
 """What the gallery shows: real photos with what was made of them, and what was measured of each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

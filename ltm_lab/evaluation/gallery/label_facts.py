@@ -1,7 +1,5 @@
 """Measures label images of real photos against what little is known of these."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The parts of the gallery."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

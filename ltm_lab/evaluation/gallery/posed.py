@@ -1,7 +1,5 @@
 """Sections of photos with a pose and a DEM: traced and fused depth, labels, and terrain change, against surveys."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +52,7 @@ class Networks:
     depth: DepthNetwork
 
     @classmethod
-    def open(cls, labels: str, depth: str) -> Networks:
+    def open(cls, labels: str, depth: str) -> "Networks":
         """By name or manifest. Raises ModelError."""
         return cls(Segmenter.open(labels), DepthNetwork.open(depth))
 
@@ -73,7 +71,7 @@ class Posed:
     fused: FusedDepth
 
     @classmethod
-    def of(cls, photo: RgbImage, fit: Resection, tracer: TerrainTracer, networks: Networks) -> Posed:
+    def of(cls, photo: RgbImage, fit: Resection, tracer: TerrainTracer, networks: Networks) -> "Posed":
         """Trace, label and fuse a photo of the resected camera's size."""
         labels = np.ascontiguousarray(networks.segmenter.segment(photo).labels[::STEP, ::STEP])
         network = networks.depth.predict(photo, fit.camera)

@@ -1,7 +1,5 @@
 """Finds and reads the real photos that the gallery shows, and what people have said of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

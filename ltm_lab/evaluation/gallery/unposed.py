@@ -1,7 +1,5 @@
 """Sections of photos without a pose: labels alone, against what people have said of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scores a located place against the true one, and surveyed control points located by the pose of the others."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -46,7 +44,7 @@ class PlaceScore:
     unlocated: str = ""
 
     @classmethod
-    def of(cls, posterior: Posterior, x: float, y: float) -> PlaceScore:
+    def of(cls, posterior: Posterior, x: float, y: float) -> "PlaceScore":
         half, most = posterior.ellipse(0.5), posterior.ellipse(0.95)
         return PlaceScore(
             math.hypot(posterior.mean[0] - x, posterior.mean[1] - y),

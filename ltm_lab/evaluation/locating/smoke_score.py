@@ -1,7 +1,5 @@
 """Runs smoke trials on a site and scores the places that are found: error, coverage, disagreement."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -222,7 +220,7 @@ class SmokeSummary:
     milliseconds: float
 
     @classmethod
-    def of(cls, trials: Sequence[SmokeTrial]) -> SmokeSummary:
+    def of(cls, trials: Sequence[SmokeTrial]) -> "SmokeSummary":
         found = [trial for trial in trials if not trial.place.unlocated]
 
         def middle(values: Sequence[float], at: float = 50.0) -> float:

@@ -1,7 +1,5 @@
 """Sites for smoke trials: the true ground, a terrain model with errors of a stated sigma, and towers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Geometric smoke as cameras see it: a leaning plume over a place of the true ground, its lowest visible part by lines
 of sight against that ground, and what a detector or a person marks of it. No picture is rendered."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

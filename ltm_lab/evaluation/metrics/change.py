@@ -1,7 +1,5 @@
 """Precision and recall of change masks against true masks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

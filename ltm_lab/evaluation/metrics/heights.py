@@ -1,7 +1,5 @@
 """Errors of surface heights against truth, and resampling of one raster to the coarser grid of another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Skylines of label and depth images, and their error in rows against the true skyline."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Draws the depths of one frame side by side with their errors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +44,7 @@ def depth_sheet(
     return with_legend(sheet, range_legend(sheet.shape[1], scale), error_legend(sheet.shape[1]))
 
 
-def frame_figure(rows: int, shape: tuple[int, ...]) -> tuple[Figure, list[list[Axes]]]:
+def frame_figure(rows: int, shape: tuple[int, ...]) -> "tuple[Figure, list[list[Axes]]]":
     """A figure of rows of three axes, each for pictures (h, w) of `shape`."""
     from matplotlib.figure import Figure
 
@@ -58,17 +56,17 @@ def frame_figure(rows: int, shape: tuple[int, ...]) -> tuple[Figure, list[list[A
     return figure, axes.tolist()
 
 
-def show_picture(axes: Axes, picture: RgbImage, title: str) -> None:
+def show_picture(axes: "Axes", picture: RgbImage, title: str) -> None:
     axes.imshow(picture)
     axes.set_title(title, loc="left")
 
 
-def show_depth(axes: Axes, depth: Float32Array, scale: RangeScale, title: str) -> None:
+def show_depth(axes: "Axes", depth: Float32Array, scale: RangeScale, title: str) -> None:
     """Depth (h, w), metres, in the colours that `depth_bar` tells."""
     show_picture(axes, depth_colors(depth, scale), title)
 
 
-def show_error(axes: Axes, depth: Float32Array, truth: Float32Array, title: str) -> None:
+def show_error(axes: "Axes", depth: Float32Array, truth: Float32Array, title: str) -> None:
     """Relative error (h, w): white none, red too far, blue too near, grey where either is not finite."""
     from matplotlib import colormaps
 
@@ -79,7 +77,7 @@ def show_error(axes: Axes, depth: Float32Array, truth: Float32Array, title: str)
     axes.set_title(title, loc="left")
 
 
-def depth_bar(figure: Figure, axes: Sequence[Axes], scale: RangeScale) -> None:
+def depth_bar(figure: "Figure", axes: "Sequence[Axes]", scale: RangeScale) -> None:
     """The colours of depth at the right of `axes`."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, LogNorm
@@ -91,7 +89,7 @@ def depth_bar(figure: Figure, axes: Sequence[Axes], scale: RangeScale) -> None:
     bar.minorticks_off()
 
 
-def error_bar(figure: Figure, axes: Sequence[Axes]) -> None:
+def error_bar(figure: "Figure", axes: "Sequence[Axes]") -> None:
     """The colours of relative errors at the right of `axes`."""
     colors = axes[-1].images[0]
     label = "error / true depth\n(red too far, blue too near)"

@@ -1,7 +1,5 @@
 """Figures of matplotlib as pictures, without pyplot: that keeps every figure in a global list."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -14,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
 
 
-def picture_of(figure: Figure) -> RgbImage:
+def picture_of(figure: "Figure") -> RgbImage:
     """The figure at its own size and resolution, (H, W, 3)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -25,7 +23,7 @@ def picture_of(figure: Figure) -> RgbImage:
     return np.asarray(canvas.buffer_rgba(), np.uint8)[..., :3].copy()
 
 
-def swatches(names: Sequence[str], colors: RgbImage) -> list[Patch]:
+def swatches(names: Sequence[str], colors: RgbImage) -> "list[Patch]":
     """What a legend shows for each name: its colour, of (N, 3)."""
     from matplotlib.patches import Patch
 

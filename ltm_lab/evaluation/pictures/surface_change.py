@@ -1,7 +1,5 @@
 """Maps of a surface's changes on one sheet: how far it moved, its sigma, kinds of change, and change against truth."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,7 +48,7 @@ def surface_figure(
     geometry: GridGeometry,
     truth: BoolArray | None = None,
     width: int = 760,
-) -> Figure:
+) -> "Figure":
     """Four maps: shift of the surface, sigma, kinds of change, and the change against the truth where that is known.
 
     All (H, W) of `geometry`, lengths in metres. Raises RasterError on other shapes."""
@@ -96,11 +94,11 @@ def shaded(heights: Float32Array, geometry: GridGeometry) -> RgbImage:
     return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _show(axes: Axes, picture: RgbImage, geometry: GridGeometry) -> None:
+def _show(axes: "Axes", picture: RgbImage, geometry: GridGeometry) -> None:
     axes.imshow(picture, extent=(geometry.x_min, geometry.x_max, geometry.y_min, geometry.y_max))
 
 
-def _name(figure: Figure, axes: Axes, names: tuple[str, ...], colors: RgbImage) -> None:
+def _name(figure: "Figure", axes: "Axes", names: tuple[str, ...], colors: RgbImage) -> None:
     """A legend under the coordinates."""
     from matplotlib.transforms import offset_copy
 
@@ -112,7 +110,7 @@ def _name(figure: Figure, axes: Axes, names: tuple[str, ...], colors: RgbImage) 
 
 
 def _show_values(
-    axes: Axes,
+    axes: "Axes",
     values: Float32Array,
     ends: tuple[float, float],
     colors: str,

@@ -1,7 +1,5 @@
 """Trials on a real photo with surveyed control points (Engabreen): its pose is found without them, from far off."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

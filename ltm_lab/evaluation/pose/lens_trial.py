@@ -1,7 +1,5 @@
 """Trials of unknown lenses: a surveyed webcam with its datasheet's lens, and rendered images that a lens bends."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

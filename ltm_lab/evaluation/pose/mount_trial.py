@@ -1,7 +1,5 @@
 """Trials of mounts: presets of one PTZ head that are fitted together, and the live watch of a camera that is turned."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

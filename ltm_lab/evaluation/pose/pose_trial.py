@@ -1,7 +1,5 @@
 """Trials of single poses: a true pose is disturbed as by a sensor, searched in the image, and scored."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence
@@ -214,7 +212,7 @@ class Spread:
     greatest: float
 
     @classmethod
-    def of(cls, values: Sequence[float] | Float64Array) -> Spread:
+    def of(cls, values: Sequence[float] | Float64Array) -> "Spread":
         known = np.abs(np.asarray(values, np.float64))
         known = known[np.isfinite(known)]
         if known.size == 0:
@@ -247,7 +245,7 @@ class PoseScore:
     seconds: Spread
 
     @classmethod
-    def of(cls, trials: Sequence[PoseTrial]) -> PoseScore:
+    def of(cls, trials: Sequence[PoseTrial]) -> "PoseScore":
         taken = [trial for trial in trials if trial.accepted]
         errors = np.array([trial.after for trial in taken]).reshape(-1, 3)
         words = [trial.verdict for trial in trials]
@@ -266,7 +264,7 @@ class PoseScore:
         )
 
     @classmethod
-    def by_view(cls, trials: Sequence[PoseTrial]) -> dict[str, PoseScore]:
+    def by_view(cls, trials: Sequence[PoseTrial]) -> "dict[str, PoseScore]":
         """Return the scores by how much of the horizon is open, and by sensor."""
         scores = {}
         for place in ("inside", "open", "between"):

@@ -1,7 +1,5 @@
 """Reads rendered sites for trials of poses: the terrain, and the frames with the evidence in their images."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterable

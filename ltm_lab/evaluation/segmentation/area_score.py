@@ -3,8 +3,6 @@
 `ltm_lab/config/training/landscape_photos.csv` lists the photos, `landscape_areas.json` their areas, in shares of the
 photo's sides. Class `land` is ground of unknown cover: of it only being called sky or water is counted."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Scores label networks on labelled frames."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

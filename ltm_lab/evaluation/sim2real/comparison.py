@@ -1,7 +1,5 @@
 """Compares simulated with real pictures by SSIM, LPIPS, FID and KID, each with its conditions and an interval."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

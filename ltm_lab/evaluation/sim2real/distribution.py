@@ -4,8 +4,6 @@ FID: Heusel et al. 2017, "GANs trained by a two time-scale update rule". KID: Bi
 GANs". Both take the 2048 pool features of one certain InceptionV3; on features of any other network the numbers are
 another metric and must not bear these names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

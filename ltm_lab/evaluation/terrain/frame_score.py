@@ -2,8 +2,6 @@
 
 Its depth is the frames' true depth with noise, or the depth that a network measures in their photos."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace

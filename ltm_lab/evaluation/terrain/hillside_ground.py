@@ -1,7 +1,5 @@
 """Terrain, trees, shrubs and towers of the exact hillside scenes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -36,10 +34,10 @@ class Trees:
     height: Float64Array
     radius: Float64Array
 
-    def where(self, kept: BoolArray) -> Trees:
+    def where(self, kept: BoolArray) -> "Trees":
         return Trees(self.x[kept], self.y[kept], self.height[kept], self.radius[kept])
 
-    def joined(self, other: Trees) -> Trees:
+    def joined(self, other: "Trees") -> "Trees":
         pairs = ((self.x, other.x), (self.y, other.y), (self.height, other.height), (self.radius, other.radius))
         return Trees(*(np.concatenate(pair) for pair in pairs))
 

@@ -3,8 +3,6 @@
 No renderer is needed: what two towers measure is traced on the true surface, with the noise of a fused depth image; the
 map is given the surface of before."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

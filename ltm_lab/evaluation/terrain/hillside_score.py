@@ -1,7 +1,5 @@
 """Run the surface map on an exact hillside scene, score it, and summarise scores over seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
@@ -68,7 +66,7 @@ class Spread:
     worst: float
 
     @classmethod
-    def of(cls, values: Sequence[float], worst: Callable[[Sequence[float]], float]) -> Spread:
+    def of(cls, values: Sequence[float], worst: Callable[[Sequence[float]], float]) -> "Spread":
         """Summarise the values that are not NaN."""
         known = [value for value in values if value == value]
         return cls(fmean(known), worst(known)) if known else cls(float("nan"), float("nan"))
@@ -88,7 +86,7 @@ class TrialSummary:
     ratio: Spread
 
     @classmethod
-    def of(cls, scores: Sequence[HillsideScore]) -> TrialSummary:
+    def of(cls, scores: Sequence[HillsideScore]) -> "TrialSummary":
         """Summarise one score or more."""
         return cls(
             sum(score.change.hits + score.change.misses for score in scores),

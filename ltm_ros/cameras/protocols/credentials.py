@@ -1,7 +1,5 @@
 """Read the passwords of cameras, and define the errors that cameras cause."""
 
-from __future__ import annotations
-
 import base64
 import os
 from urllib.parse import quote, quote_plus
@@ -81,7 +79,7 @@ class Login:
         return "" if self._password is None else self._password.reveal()
 
     @classmethod
-    def of(cls, settings: NetworkSettings) -> Login:
+    def of(cls, settings: NetworkSettings) -> "Login":
         """Return the login. Raises UnauthorisedError if the password cannot be read."""
         return cls(settings.user, None if settings.password is None else read_secret(settings.password))
 

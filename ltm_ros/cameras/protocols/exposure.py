@@ -1,7 +1,5 @@
 """Estimate when an image was taken, from EXIF, the camera's clock and its offset."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo

@@ -1,7 +1,5 @@
 """Read images that a camera writes into a folder, or that a network lists in a JSON file."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

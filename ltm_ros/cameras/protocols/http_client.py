@@ -1,8 +1,6 @@
 """Send HTTP requests to a camera: authentication, certificates, limits of size and time; errors become SourceError
 without secrets."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re

@@ -1,7 +1,5 @@
 """Read JPEG images from a snapshot address or an MJPEG stream."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import time

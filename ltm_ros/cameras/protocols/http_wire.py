@@ -5,8 +5,6 @@ Sources: RFC 9112 (messages), RFC 9110 11.6 (challenges), RFC 7616 and 2617 (dig
 Own code, because httpx rejects an answer with one invalid line, and knows neither `auth-int`, SHA-512-256, an empty
 algorithm nor two challenges in one line."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re

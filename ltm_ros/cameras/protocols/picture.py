@@ -1,7 +1,5 @@
 """Hold an image as a camera sent it with the readings of its PTZ head, and detect stuck and dark images."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum, auto

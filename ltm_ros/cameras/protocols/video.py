@@ -1,7 +1,5 @@
 """Read images of video streams (RTSP)."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re

@@ -1,7 +1,5 @@
 """Connect to PTZ heads of all makers and read their directions, with readings close enough to detect motion."""
 
-from __future__ import annotations
-
 import re
 import time
 import xml.etree.ElementTree as ElementTree  # nosec B405 # documents with a DTD are refused before they are parsed

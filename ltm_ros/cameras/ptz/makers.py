@@ -3,8 +3,6 @@
 ISAPI: source: ISAPI 2.0, PTZCtrl; fields as cameras send them. Units differ between pages: tenths of a degree in
 `status`, degrees with decimals in `absoluteEx`."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

@@ -3,8 +3,6 @@
 Sources: ONVIF Core Specification 5.9.4 (user authentication), OASIS WS-Security UsernameToken Profile 1.0 (password
 digest). Own code, because onvif-zeep-async needs 27 packages and 57 MB; six calls are needed here."""
 
-from __future__ import annotations
-
 import base64
 import calendar
 import hashlib

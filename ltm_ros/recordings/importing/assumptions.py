@@ -1,7 +1,5 @@
 """Define what photos are placed by besides their own metadata: site, lens, time and camera height."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta, tzinfo

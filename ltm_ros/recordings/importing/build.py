@@ -1,7 +1,5 @@
 """Build a bag from photos, for `ltm import`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

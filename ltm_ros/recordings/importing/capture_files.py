@@ -1,8 +1,6 @@
 """Read the files of a capture: members of a zip, or a folder. Sizes are limited, and no name in a zip becomes a
 path."""
 
-from __future__ import annotations
-
 import csv
 import io
 import lzma

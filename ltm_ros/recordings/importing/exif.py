@@ -3,8 +3,6 @@
 DJI's gimbal angles are of the camera: yaw clockwise from true north, pitch up from the horizon, roll clockwise. Its
 `AbsoluteAltitude` is above sea level (above the ellipsoid with RTK), `RelativeAltitude` above the take-off place."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping
@@ -63,7 +61,7 @@ class Sensed:
     tilt_sigma_deg: float | None = None
     missing: str = ""
 
-    def over(self, own: Sensed) -> Sensed:
+    def over(self, own: "Sensed") -> "Sensed":
         """Return this, completed from another: position with height, direction, and tilt, each as a whole."""
         taken: dict[str, Any] = {}
         for names in _PARTS:

@@ -1,7 +1,5 @@
 """Read poses of Metashape, COLMAP, OpenSfM, alproj, ImGRAFT, PRACTISE, Pic2Map, and lists of omega, phi, kappa."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Place one photo: camera, pose and stamp from its row in the pose file, the site's fixed camera and its sensors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from datetime import datetime

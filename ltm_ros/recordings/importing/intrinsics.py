@@ -1,7 +1,5 @@
 """Read a camera's intrinsics from the metadata of photos. No other code interprets them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Read photos upright as JPEG or PNG bytes with their sensor data, and the file of their poses."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Find the photos of an import with their sensor data; detect the type of each file or folder by its content."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Check imported poses against terrain and photos: impossible ones, and axes and units that fit better than stated."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The compass error of a phone is similar in all photos of a walk (iron in its case and pocket). So photos with a found
 pose give the compass error of the others, which are searched again from there."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -56,7 +54,7 @@ class CompassError:
     spread_deg: float
 
     @classmethod
-    def of(cls, turned_deg: Sequence[float]) -> CompassError | None:
+    def of(cls, turned_deg: Sequence[float]) -> "CompassError | None":
         """Compute it from differences between found and stated azimuths; None if they are few or disagree."""
         if len(turned_deg) < LEAST_AGREEING:
             return None

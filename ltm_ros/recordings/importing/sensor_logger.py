@@ -5,8 +5,6 @@ Facts of the format (the app's UNITS.md, COORDINATES.md and CROSSPLATFORM.md): `
 not the heading; a camera frame is named by its milliseconds since 1970. The quaternion maps the phone's axes to a world
 with x to true north on iOS, and y to magnetic north on Android."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

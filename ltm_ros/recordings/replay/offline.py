@@ -1,7 +1,5 @@
 """Replay offline through the graph's handlers: select the messages of a bag, and play them in order."""
 
-from __future__ import annotations
-
 import importlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -59,7 +57,7 @@ class Selection:
         duration: float | None = None,
         truth: bool = True,
         names: Mapping[str, str] | None = None,
-    ) -> Selection:
+    ) -> "Selection":
         """Open a bag; `names`: other names of its topics. Raises RecordingError without images in the span."""
         reader = BagReader(bag, names=names)
         recorded = reader.topics()

@@ -1,7 +1,5 @@
 """Replay a recording: live over DDS at the pace of its stamps, or offline."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """Images of real recordings: a half grey one is rejected, complete photos are not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

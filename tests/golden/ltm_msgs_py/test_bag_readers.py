@@ -1,7 +1,5 @@
 """What nobody here wrote reads our bags: `rosbags` and `mcap-ros2-support` against our own reader, field by field."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

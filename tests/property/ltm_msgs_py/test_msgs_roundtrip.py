@@ -1,7 +1,5 @@
 """Whatever a core type holds, its message gives it back; any message is read or refused, and nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 from known_vulnerabilities import read_answer, report

@@ -1,7 +1,5 @@
 """A real photo with surveyed control points: which of two is nearer, by traced, network and fused depth."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

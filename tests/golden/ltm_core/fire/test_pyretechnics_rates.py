@@ -3,8 +3,6 @@
 Its pins (NumPy 1.26) exclude ours, so it runs in an interpreter of its own: that of `make fire`, or LTM_PYRETECHNICS.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """Real fuel maps: two of the Tubbs Fire ground, one of Vermont as LANDFIRE gives it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

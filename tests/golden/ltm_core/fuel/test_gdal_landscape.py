@@ -1,7 +1,5 @@
 """Our landscapes as GDAL reads them, slope and aspect as gdaldem derives them."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The colours of fuel models against those of LANDFIRE's own attribute tables."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Our camera model against OpenCV's."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A head taught by five views of real fire towers: each site labelled by a head that the other sites taught."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

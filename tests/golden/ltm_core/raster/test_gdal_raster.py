@@ -1,7 +1,5 @@
 """Our rasters against GDAL's own reading of them: placement, and bilinear sampling by its warper."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

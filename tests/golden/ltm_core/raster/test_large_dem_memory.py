@@ -2,8 +2,6 @@
 process that finds its kernels compiled, as every one after the first does.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A real camera over a sandbar, whose later surveys tell what has changed since the one that the map starts from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

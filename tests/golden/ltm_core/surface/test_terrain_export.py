@@ -1,7 +1,5 @@
 """`ltm export` of a living terrain, read by GDAL."""
 
-from __future__ import annotations
-
 import json
 from datetime import UTC, datetime
 from pathlib import Path

@@ -4,8 +4,6 @@ Triangles and the bilinear surface differ inside a cell, and by whole ridges at 
 compared.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scenes.rasters import directions, rough_terrain, standing

@@ -2,8 +2,6 @@
 and since. `pytest -s` prints the shares.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

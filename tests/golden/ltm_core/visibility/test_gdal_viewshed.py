@@ -1,7 +1,5 @@
 """Lines of sight against GDAL's own viewshed, earth curvature and refraction on."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

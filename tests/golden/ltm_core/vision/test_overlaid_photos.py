@@ -1,7 +1,5 @@
 """Bars, frames and logos drawn onto real photos change few labels beside them, and clean photos have none."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

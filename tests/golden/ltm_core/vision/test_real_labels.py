@@ -1,7 +1,5 @@
 """The default network, and the head that ships with it, on photographs that neither was taught by."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Labels of a real webcam's parts, as a zoomed camera would show them, with and without its terrain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

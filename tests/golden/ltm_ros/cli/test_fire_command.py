@@ -1,7 +1,5 @@
 """`ltm fire` by Pyretechnics: of two landscape files, and of a store."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What no set of frames may do to the fuel map, whatever they hold and however they come."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

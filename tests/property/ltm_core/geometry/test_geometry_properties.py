@@ -1,7 +1,5 @@
 """What must hold for any camera, pose and grid."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

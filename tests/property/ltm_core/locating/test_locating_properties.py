@@ -2,8 +2,6 @@
 turns and moves the answer; what more is not known, the answer does not know either.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """What no single view and nothing that moves can do to a cell, whatever it shows and however often it comes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache

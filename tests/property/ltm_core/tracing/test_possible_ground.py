@@ -1,7 +1,5 @@
 """Unknown ground: both ways of tracing and the reference agree, and no ground within its bounds changes an answer."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st

@@ -2,8 +2,6 @@
 millimetre.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scenes.rasters import directions, rough_terrain, standing, with_holes

@@ -1,7 +1,5 @@
 """Tracing over stacks: every ray as the float64 reference, by the profile and by the pyramid; no seam shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scenes.rasters import directions, rough_terrain, sampled, with_holes

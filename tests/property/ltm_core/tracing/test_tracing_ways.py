@@ -1,7 +1,5 @@
 """The fast path against the pyramid traversal: on every pixel the same kind and the same range."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

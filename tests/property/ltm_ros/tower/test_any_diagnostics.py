@@ -1,7 +1,5 @@
 """Whatever comes on /diagnostics in a node's name: the state can be told, in every form, and says no number twice."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

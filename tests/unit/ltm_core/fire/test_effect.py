@@ -1,7 +1,5 @@
 """What an update changes of a fire, of small fires worked out by hand; its GeoTIFF and its pictures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

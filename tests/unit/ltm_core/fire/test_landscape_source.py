@@ -1,7 +1,5 @@
 """Landscapes that a fire can be run on, and what is told of those that it cannot."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a fire is given, and what is told of what cannot be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

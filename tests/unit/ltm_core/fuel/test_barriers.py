@@ -1,7 +1,5 @@
 """Vector layers of roads, water and buildings as non-burnable cells."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

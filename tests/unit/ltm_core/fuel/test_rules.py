@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 from scenes.evidence_scene import ASSUMED, HOUR, LABELS, NOW, visibility, votes
 

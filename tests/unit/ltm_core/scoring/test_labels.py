@@ -1,7 +1,5 @@
 """Segmentation scores against counts made by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

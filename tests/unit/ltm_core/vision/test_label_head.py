@@ -1,8 +1,6 @@
 """Label heads of a label network: none is none to the bit, what a label head adds is its formula, a wrong file is
 refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

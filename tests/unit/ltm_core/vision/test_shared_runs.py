@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import gc
 from array import array
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sets of pictures against each other; the whole with its real weights is a slow test."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Frames that several tests train on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -84,10 +82,10 @@ def test_a_short_training_gives_a_calibrated_model_of_unseen_frames(frames: Path
     assert record.errors().measured
 
 
-def break_off_at(step: int) -> Callable[[Progress], None]:
+def break_off_at(step: int) -> "Callable[[Progress], None]":
     """Interrupt a training after this step."""
 
-    def report(progress: Progress) -> None:
+    def report(progress: "Progress") -> None:
         if progress.step == step:
             raise KeyboardInterrupt
 

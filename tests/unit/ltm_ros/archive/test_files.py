@@ -1,7 +1,5 @@
 """Files of archives: found at any depth, and none that was replaced."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What names results: the same in every process, and another one whenever what goes into them is."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Which frames of an archive are chosen."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

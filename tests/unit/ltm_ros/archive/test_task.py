@@ -1,7 +1,5 @@
 """Who works the tasks of an archive."""
 
-from __future__ import annotations
-
 import multiprocessing
 import time
 from dataclasses import replace

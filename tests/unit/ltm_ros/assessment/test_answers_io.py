@@ -1,7 +1,5 @@
 """Answers and field plots as files."""
 
-from __future__ import annotations
-
 import json
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """From a map to its report: what interpreters see, what counts, and that the figures are those of the answers."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

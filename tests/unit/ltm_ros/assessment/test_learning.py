@@ -1,7 +1,5 @@
 """What the network learns from answers, and which cells then stay out of the report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page for interpreters, on the recording of the demonstration: answers, places and keys."""
 
-from __future__ import annotations
-
 import http.client
 import json
 from collections.abc import Iterator

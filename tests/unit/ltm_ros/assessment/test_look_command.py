@@ -1,7 +1,5 @@
 """`ltm assess look` and `ltm assess learn` as commands."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

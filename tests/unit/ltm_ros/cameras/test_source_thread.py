@@ -1,7 +1,5 @@
 """The thread that asks a camera outlives whatever goes wrong there."""
 
-from __future__ import annotations
-
 import pytest
 from scenes.source_under_test import Sourced, settings
 from scenes.timed_picture import jpeg, scene

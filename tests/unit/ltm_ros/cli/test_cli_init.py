@@ -1,7 +1,5 @@
 """`ltm init` against the data services on loopback."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

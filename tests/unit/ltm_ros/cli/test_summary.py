@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from ltm_ros.cli.output import outcome, print_nodes, print_table

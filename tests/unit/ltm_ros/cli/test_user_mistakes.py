@@ -2,8 +2,6 @@
 is, there is no traceback, and nothing has been written.
 """
 
-from __future__ import annotations
-
 import socket
 import sys
 from collections.abc import Callable

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool

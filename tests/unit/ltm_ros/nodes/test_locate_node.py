@@ -1,7 +1,5 @@
 """locate: regions in, estimates and tracks out; what cannot be taken is told and changes nothing."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

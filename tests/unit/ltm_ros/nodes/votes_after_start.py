@@ -1,7 +1,5 @@
 """Prints how many signatures each kernel is compiled for once `fuel_map` has started, and after frames of votes."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The region's map as GeoTIFFs with a STAC item, anew when it has changed."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 

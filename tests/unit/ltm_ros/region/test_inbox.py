@@ -1,7 +1,5 @@
 """The turns that the towers of a region take."""
 
-from __future__ import annotations
-
 import threading
 
 from ltm_ros.region.mqtt_link import KEPT_BYTES, Inbox

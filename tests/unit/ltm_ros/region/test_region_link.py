@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import ssl
 import subprocess
 import sys
@@ -195,7 +193,7 @@ class Client:
     def subscribe(self, topic: str) -> None:
         self._mqtt.subscribe(topic, 0)
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> "Client":
         return self
 
     def __exit__(self, *_: object) -> None:

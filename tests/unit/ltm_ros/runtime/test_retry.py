@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from ltm_ros.runtime.retry import Backoff
 
 

@@ -1,7 +1,5 @@
 """Cameras of options and lists."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Resampled heights: planes of the source's grid, which bilinear interpolation keeps exactly."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Services that prepare files on request, and the situations in which they cannot, against services on loopback."""
 
-from __future__ import annotations
-
 import resource
 import signal
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Sites from a point on the map, with sources that make their rasters here: planes in degrees."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable, Sequence
 from pathlib import Path

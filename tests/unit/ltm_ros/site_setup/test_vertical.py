@@ -4,8 +4,6 @@ The grids are made here under their real names, with undulations of known form; 
 has it.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Iterator

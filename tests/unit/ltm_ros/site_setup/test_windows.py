@@ -1,7 +1,5 @@
 """Windows of remote GeoTIFFs: cells, seams, holes, bytes and interruptions, against services on loopback."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

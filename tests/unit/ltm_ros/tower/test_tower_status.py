@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from scenes.tower_words import NODES, NOW_S, healths, status_of, watch_of
 

@@ -1,7 +1,5 @@
 """What several unit tests share because it is costly to make."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

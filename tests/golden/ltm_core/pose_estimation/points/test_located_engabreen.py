@@ -1,7 +1,5 @@
 """A real photo with surveyed control points: each located with the pose that the others give."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

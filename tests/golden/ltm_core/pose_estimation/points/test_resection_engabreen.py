@@ -1,7 +1,5 @@
 """A real photo's surveyed control points: the fitted camera, and where the traced points lie on the ground."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Surveyed points of a real webcam: a position stated 3 m too low, and few points, marked to 2 pixels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

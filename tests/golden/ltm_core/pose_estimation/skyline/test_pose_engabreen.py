@@ -1,7 +1,5 @@
 """A real photo whose far mountains lie outside the DEM: its pose by ridges alone, beside that of its control points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Photographs of real towers: by day none is taken for night, and none for the picture that was taken before it."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

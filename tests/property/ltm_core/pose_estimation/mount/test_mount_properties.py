@@ -1,7 +1,5 @@
 """PTZ heads on mounts: what holds for every PTZ head, reading and landmark."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

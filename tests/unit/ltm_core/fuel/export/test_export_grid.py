@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 
 from ltm_core.fuel.codes import FuelClimate, FuelSystem

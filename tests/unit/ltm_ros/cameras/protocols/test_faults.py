@@ -1,8 +1,6 @@
 """What cameras do wrong, one test a fault: each ends in the right state within its time, publishes nothing wrong, and
 is over by itself when the camera is well again. A real server; the source's pauses are skipped, not waited for."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

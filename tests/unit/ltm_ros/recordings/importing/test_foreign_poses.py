@@ -5,8 +5,6 @@ COLMAP's cameras.txt and images.txt, OpenSfM's `data/berlin/reconstruction_examp
 (`alproj/optimize.py`), ImGRAFT's `camera.m` (fullmodel), PRACTISE's `PRACTISE_Input_base.m` (georef_webcam), and the
 report of Pic2Map (`reportDialog.py`, `posedialog.py`)."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
