@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 
 from ltm_core.base.kernels import helper, kernel
-from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
+from ltm_core.base.types import BoolArray, Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors, LabelView
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities
 from ltm_core.geometry.camera import Camera
 
 
@@ -44,20 +43,30 @@ def refine_occlusion_boundaries(
     surface: Float32Array,
     sigma: Float32Array,
     ground: Float32Array,
-    edges: DepthDiscontinuities,
     labels: UInt8Array | None,
     classes: ClassPriors,
     camera: Camera,
     config: FusionConfig,
-) -> Int32Array:
-    """Move the `edges` of `ground` in `surface` and `sigma` (H, W), in place, to those of the photo; return by how many
-    pixels (N,) the photo puts each of them higher. `labels`: (H, W) ids of `classes`, or None."""
-    color = np.asarray(cv2.blur(rgb, config.boundaries.blur), np.uint8) if len(edges) else rgb
-    raised = np.zeros(len(edges), np.int32)
+    hidden: BoolArray | None = None,
+) -> None:
+    """Move the edges of `ground` in `surface` and `sigma` (H, W), in place, to those of the photo. `labels`: (H, W) ids
+    of `classes`, or None. `hidden`: (H, W), pixels at which no edge is seen; None: none."""
+    rows, cols = _edges(ground, config.surface.jump, hidden)
+    color = np.asarray(cv2.blur(rgb, config.boundaries.blur), np.uint8) if len(rows) else rgb
     highest = float(classes.crest[255] if labels is None else classes.crest.max())
     seen, rules = LabelView.of(labels, classes), BoundaryRules.of(config, highest, camera.fy)
-    _cut(color, ground, seen, classes.crest, rules, edges.rows, edges.cols, raised, surface, sigma)
-    return raised
+    _cut(color, ground, seen, classes.crest, rules, rows, cols, surface, sigma)
+
+
+def _edges(ground: Float32Array, jump: float, hidden: BoolArray | None) -> tuple[Int32Array, Int32Array]:
+    """Return rows and columns (N,), bottom to top and left to right, of pixels of ground (H, W) below a pixel that is
+    at least `jump` times as far, sky or unknown; neither of the two is hidden."""
+    here, above = ground[:0:-1], ground[-2::-1]
+    near = (here < np.float32(1e9)) & ~(above < np.float32(jump) * here)
+    if hidden is not None:
+        near &= ~(hidden[:0:-1] | hidden[-2::-1])
+    rows, cols = np.divmod(np.flatnonzero(near), ground.shape[1])  # `nonzero` takes longer in two dimensions
+    return (len(ground) - 1 - rows).astype(np.int32), cols.astype(np.int32)
 
 
 @helper()
@@ -98,11 +107,11 @@ def _cut(
     rules: BoundaryRules,
     rows: Int32Array,
     cols: Int32Array,
-    raised: Int32Array,
     surface: Float32Array,
     sigma: Float32Array,
 ) -> None:
-    """Fill `raised`: by how many pixels the photo has each edge higher; write the near side's depth above it."""
+    """Find by how many pixels the photo has each edge higher, then write the near side's depth above each."""
+    raised = np.zeros(len(rows), np.int32)
     near, near_var = np.empty(3, np.float32), np.empty(3, np.float32)
     far, far_var = np.empty(3, np.float32), np.empty(3, np.float32)
     ids, labelled, sky = labels.ids, labels.known, labels.sky

@@ -1,44 +1,21 @@
-"""Compute how likely something stands before the ground, and find where traced depth jumps.
+"""Compute how likely something stands before the ground.
 
 An object's foot is directly below it in the image, where the terrain is as near as the object, and its height is the
 distance from there up to the pixel."""
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from ltm_core.base.kernels import helper
-from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import UNLABELLED
-
-
-@dataclass(frozen=True, eq=False)
-class DepthDiscontinuities:
-    """Depth discontinuities. `rows`, `cols`: (N,) int32, the topmost pixels of the near surfaces, bottom to top and
-    left to right. `jump`: the minimum ratio of depths."""
-
-    rows: Int32Array
-    cols: Int32Array
-    jump: float
-
-    @classmethod
-    def of(cls, ground: Float32Array, jump: float) -> "DepthDiscontinuities":
-        """Return pixels with ground (H, W) below a pixel that is at least `jump` times as far, sky or unknown."""
-        here, above = ground[:0:-1], ground[-2::-1]
-        near = (here < np.float32(1e9)) & ~(above < np.float32(jump) * here)
-        rows, cols = np.divmod(np.flatnonzero(near), ground.shape[1])  # `nonzero` takes longer in two dimensions
-        return cls((len(ground) - 1 - rows).astype(np.int32), cols.astype(np.int32), jump)
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
 
 _STEP = 4  # rows of the photo between those of `feet`
 

@@ -21,17 +21,15 @@ from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.network_measurement import NetworkMeasurement
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities, OcclusionPrior
+from ltm_core.depth.occlusion_prior import OcclusionPrior
 from ltm_core.depth.pixel_fusion import fuse_pixels
 from ltm_core.depth.pose_check import PoseCheck, check_pose
 from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.depth.unseen_terrain import (
-    MOST_UNKNOWN,
     clear_unenclosed,
-    edges_seen,
     hidden_at,
     labels_behind,
-    unknown_share,
+    mostly_unknown,
     with_labelled_sky,
 )
 from ltm_core.geometry.range_image import DepthImage, RangeImage
@@ -195,9 +193,7 @@ class Fusion:
             view = NetworkView.of(fit, self.rgb, config)
             standing = OcclusionPrior.of(seen.depth(), labels, classes, camera, seen.pose, view.shape, config)
         # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
-        edges = DepthDiscontinuities.of(ground, config.surface.jump)
-        edges = edges if self.hidden is None else edges_seen(edges, self.hidden)
-        refine_occlusion_boundaries(self.rgb, depth, sigma, ground, edges, labels, classes, camera, config)
+        refine_occlusion_boundaries(self.rgb, depth, sigma, ground, labels, classes, camera, config, self.hidden)
         over = None if self.surface is None else self.surface.depth()
         if over is not None and labels is not None:
             over = with_labelled_sky(over, labels, classes.sky)
@@ -266,10 +262,8 @@ class Fusion:
         if fit is not None and fit.trouble:
             return FusionVerdict.NETWORK_UNUSABLE, fit.trouble
         # Hidden pixels are no unknown ground.
-        unknown = unknown_share(depth if hidden is None else np.where(hidden, np.float32(np.inf), depth))
-        if unknown.whole > MOST_UNKNOWN:
-            return FusionVerdict.MOSTLY_UNKNOWN, unknown.reason
-        return FusionVerdict.OK, ""
+        unknown = mostly_unknown(depth if hidden is None else np.where(hidden, np.float32(np.inf), depth))
+        return (FusionVerdict.MOSTLY_UNKNOWN if unknown else FusionVerdict.OK), unknown
 
 
 def fuse(

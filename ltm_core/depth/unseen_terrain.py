@@ -1,8 +1,6 @@
 """Find pixels without traced terrain: hidden by structures, sky by the labels, and unknown regions."""
 
-from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -10,21 +8,11 @@ import numpy as np
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.labels import UNLABELLED
 
-if TYPE_CHECKING:  # `ltm trace` starts without fusion
-    from ltm_core.depth.occlusion_prior import DepthDiscontinuities
-
 
 def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, sky: int) -> UInt8Array:
     """Return labels (H, W) in which hidden pixels (H, W) have the expected label: sky where no ground is traced."""
     behind = np.where(np.isfinite(ground), np.uint8(UNLABELLED), np.uint8(sky))
     return np.asarray(np.where(hidden, behind, labels), np.uint8)
-
-
-def edges_seen(edges: "DepthDiscontinuities", hidden: BoolArray) -> "DepthDiscontinuities":
-    """Return edges without those that hidden pixels (H, W) cover or that border the hidden area."""
-    above = np.maximum(edges.rows - 1, 0)
-    seen = ~(hidden[edges.rows, edges.cols] | hidden[above, edges.cols])
-    return replace(edges, rows=edges.rows[seen], cols=edges.cols[seen])
 
 
 def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:
@@ -71,49 +59,25 @@ def clear_unenclosed(ground: Float32Array, depth: Float32Array, sigma: Float32Ar
     source[gone] = 0
 
 
-MOST_UNKNOWN = 0.5
+_MOST_UNKNOWN = 0.5
 """Share of unknown pixels above which a photo is reported as mostly unknown."""
 _EVERY = 4  # pixels looked at, each way
 
 
-@dataclass(frozen=True)
-class UnknownShare:
-    """Shares of an image that are unknown: `beyond` known ground, up to the sky; `between` known ground; `before` the
-    first known ground; and in columns with `no_ground`."""
-
-    beyond: float
-    between: float
-    before: float
-    no_ground: float
-
-    @property
-    def whole(self) -> float:
-        return self.beyond + self.between + self.before + self.no_ground
-
-    @property
-    def reason(self) -> str:
-        """Return the share, and its most likely reason."""
-        likely = max(
-            (self.beyond, "the view extends beyond the DEM's edge; give a coarser DEM around it, or possible_ground"),
-            (self.between, "the DEM has holes there"),
-            (self.before, "the camera is beyond the DEM's edge or next to a hole"),
-            (self.no_ground, "the view misses the DEM; check position and azimuth, or give a larger DEM"),
-        )
-        return f"{self.whole:.0%} of the image is unknown ground: {likely[1]}"
-
-
-def unknown_share(depth: Float32Array) -> UnknownShare:
-    """Return the unknown share of ranges or depths (H, W): finite, +inf sky, NaN unknown; every fourth pixel each way
-    is used."""
+def mostly_unknown(depth: Float32Array) -> str:
+    """Return why most of ranges or depths (H, W; finite, +inf sky, NaN unknown) are unknown, with the share; empty if
+    they are not. Every fourth pixel each way is used."""
     part = depth[::_EVERY, ::_EVERY]
     unknown, known = np.isnan(part), np.isfinite(part)
-    if not unknown.any():
-        return UnknownShare(0.0, 0.0, 0.0, 0.0)
+    if unknown.mean() <= _MOST_UNKNOWN:
+        return ""
     above = np.logical_or.accumulate(known, axis=0)
     below = np.logical_or.accumulate(known[::-1], axis=0)[::-1]
-    return UnknownShare(
-        float((unknown & below & ~above).mean()),
-        float((unknown & below & above).mean()),
-        float((unknown & ~below & above).mean()),
-        float((unknown & ~below & ~above).mean()),
-    )
+    reasons = {
+        "the view extends beyond the DEM's edge; give a coarser DEM around it, or possible_ground": below & ~above,
+        "the DEM has holes there": below & above,
+        "the camera is beyond the DEM's edge or next to a hole": ~below & above,
+        "the view misses the DEM; check position and azimuth, or give a larger DEM": ~below & ~above,
+    }
+    likely = max(reasons, key=lambda reason: int((unknown & reasons[reason]).sum()))
+    return f"{unknown.mean():.0%} of the image is unknown ground: {likely}"

@@ -19,7 +19,7 @@ from ltm_core.depth.ground_sampling import ClassPriors, LabelView
 from ltm_core.depth.guided_upsampling import NetworkView, upsample_row
 from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
-from ltm_core.depth.occlusion_prior import DepthDiscontinuities, OcclusionPrior, ground_contact, height_above
+from ltm_core.depth.occlusion_prior import OcclusionPrior, ground_contact, height_above
 from ltm_core.depth.pixel_fusion import DecisionRules, FusionRow, begin_row, compare_row, log_against
 from ltm_core.geometry.range_image import DepthImage, RangeImage
 from ltm_core.vision.labels import LabelSet
@@ -70,8 +70,7 @@ def frame_samples(
     standing = OcclusionPrior.of(ground, labels, classes, traced.camera, traced.pose, view.shape, config)
     ids = np.array([label_set.id_of(name) for name in CLASSES[:-1]])
     depth, sigma = seen.copy(), spread.copy()
-    edges = DepthDiscontinuities.of(ground, config.surface.jump)
-    refine_occlusion_boundaries(rgb, depth, sigma, ground, edges, labels, classes, traced.camera, config)
+    refine_occlusion_boundaries(rgb, depth, sigma, ground, labels, classes, traced.camera, config)
     return FrameSamples(
         _standing(depth, sigma, view, standing, labels, ids, classes, true, step, config),
         _empty(len(CLASSES) + 1) if over is None else _canopy(seen, spread, over, view, labels, ids, true, step),

@@ -8,7 +8,7 @@ import numpy as np
 from typer import Option
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.unseen_terrain import MOST_UNKNOWN, unknown_share
+from ltm_core.depth.unseen_terrain import mostly_unknown
 from ltm_core.pictures import to_png
 from ltm_core.pictures.trace import coverage_picture, depth_picture, map_picture, write_coverage
 from ltm_core.storage.disk_io import require_files
@@ -69,9 +69,8 @@ def trace(
     seen = int((counts > 0).sum())
     rows.append(("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)"))
     print_table(title, ("", ""), rows)
-    unknown = unknown_share(ranges)
-    if known.size and unknown.whole > MOST_UNKNOWN:
-        warn(f"{unknown.reason}.")
+    if known.size and (unknown := mostly_unknown(ranges)):
+        warn(f"{unknown}.")
     if not known.size:
         x, y = setup.frame.x_origin + setup.pose.position[0], setup.frame.y_origin + setup.pose.position[1]
         covered = setup.dem.geometry.translated(setup.frame.x_origin, setup.frame.y_origin).bounds
