@@ -21,19 +21,14 @@ class PoseCheck:
     """Result of the check. `edges`: number of terrain edges used. `pitch_deg`, `azimuth_deg`: turn of the camera (up,
     clockwise) with the best fit, 0 if unknown. `gain`: ratio of the fits. `suspected`, and `reason` in words."""
 
-    edges: int
-    pitch_deg: float
-    azimuth_deg: float
-    gain: float
-    suspected: bool
-    reason: str
-    checked: bool = True
+    edges: int = 0
+    pitch_deg: float = 0.0
+    azimuth_deg: float = 0.0
+    gain: float = 1.0
+    suspected: bool = False
+    reason: str = ""
+    checked: bool = False
     """Whether there was enough evidence to detect a wrong pose."""
-
-    @classmethod
-    def none(cls) -> "PoseCheck":
-        """Return the result for a pose that is not checked."""
-        return cls(0, 0.0, 0.0, 1.0, False, "", False)
 
 
 def check_pose(
@@ -57,12 +52,12 @@ def check_pose(
         clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma, config)
         rows, cols = rows[clear_of_trees], cols[clear_of_trees]
     if len(rows) < config.least_edges:
-        return PoseCheck(len(rows), 0.0, 0.0, 1.0, False, "", False)
+        return PoseCheck(len(rows))
     allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
     pitch, azimuth, gain, suspected = _check_edges(rgb, rows, cols, camera, allowed, config)
     reason = f"the photo's edges fit the terrain's silhouettes {gain:.1f} times better with the camera turned by "
     reason += f"{pitch:+.2f} deg of pitch and {azimuth:+.2f} deg of azimuth"
-    return PoseCheck(len(rows), pitch, azimuth, gain, suspected, reason if suspected else "")
+    return PoseCheck(len(rows), pitch, azimuth, gain, suspected, reason if suspected else "", True)
 
 
 def _clear_of_trees(

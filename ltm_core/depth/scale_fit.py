@@ -26,10 +26,6 @@ class Line:
     sigma: float
     inliers: BoolArray
 
-    @property
-    def inlier_ratio(self) -> float:
-        return float(self.inliers.mean()) if len(self.inliers) else 0.0
-
 
 def robust_line(
     x: Float64Array, y: Float64Array, weights: Float64Array, floor: float, rules: RegressionConfig
@@ -107,10 +103,6 @@ class ScaleFit:
     line: Line | None
     trouble: str
 
-    @property
-    def inlier_ratio(self) -> float:
-        return 0.0 if self.line is None else self.line.inlier_ratio
-
 
 def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, int], config: FusionConfig) -> ScaleFit:
     """Fit a network's depth to ground samples of a photo of `size` (height, width)."""
@@ -127,8 +119,8 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
     line = fitted_line(network.kind, at[known], samples.part(known), config)
     if line is None:
         return _unusable(network, None, "the network's depth is constant over the ground samples")
-    if line.inlier_ratio < rules.least_inliers:
-        return _unusable(network, line, f"only {line.inlier_ratio:.0%} of the ground samples fit one scale and shift")
+    if (inliers := float(line.inliers.mean())) < rules.least_inliers:
+        return _unusable(network, line, f"only {inliers:.0%} of the ground samples fit one scale and shift")
     if line.scale <= 0:
         return _unusable(network, line, f"the network's depth is opposite to the terrain's (scale {line.scale:.3g})")
     inverse = _in_metres(network, line)

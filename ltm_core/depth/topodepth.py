@@ -78,7 +78,7 @@ class FusionOutcome:
     @property
     def inlier_ratio(self) -> float:
         """Return the share of trusted ground that fits the network's line; 0 without a fit."""
-        return 0.0 if self.fit is None else self.fit.inlier_ratio
+        return 0.0 if self.fit is None or self.fit.line is None else float(self.fit.line.inliers.mean())
 
     def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
         """Return the network's measurement alone: empty if the network or the pose is unreliable; without pixels that
@@ -246,7 +246,7 @@ class Fusion:
     def _check(self) -> PoseCheck:
         """Whether the terrain lies where the photo has it: if not, nothing else means anything."""
         if self.unusable:
-            return PoseCheck.none()
+            return PoseCheck()
         config, sigmas = self.config, (self.settings.angle_sigma, self.settings.dem_sigma)
         given = self.rgb, self._ground, self.traced.camera, *sigmas, config.pose_check
         return check_pose(*given, self._labels, self.classes, config.surface.jump, self.hidden)

@@ -1,37 +1,31 @@
-"""Draw terrain over shaded relief, and what every map has: cameras, outlines, scale bar and north arrow."""
+"""Draw what every map has: shaded relief, cameras, outlines, scale bar and north arrow."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array, IndexArray, Int32Array, RgbImage, UInt8Array
+from ltm_core.base.types import BoolArray, Float64Array, IndexArray, Int32Array, RgbImage
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import (
     INK,
     PAPER,
-    Palette,
     Text,
     apart,
     draw_texts,
-    label_legend,
     metres,
     one_two_five,
     text_width,
     with_legend,
 )
-from ltm_core.pictures.photo_overlays import with_axes
-from ltm_core.pictures.relief import coarser, height_span, hillshade, terrain_colors
+from ltm_core.pictures.relief import coarser, hillshade
 from ltm_core.raster.dem import Dem
 
 _CHANGED = (230, 0, 140)
-_SEEN = (225, 87, 20)
 SHIFT = 4  # OpenCV draws at 1/16 pixel
 
 
@@ -67,29 +61,6 @@ def draw_outline(picture: RgbImage, mask: BoolArray, cell: float) -> None:
     picture[edge] = _CHANGED
 
 
-def terrain_map_picture(
-    dem: Dem,
-    seen: BoolArray,
-    cameras: Sequence[MapCamera] = (),
-    width: int = 1200,
-    title: str = "",
-    offset: tuple[float, float] = (0.0, 0.0),
-) -> RgbImage:
-    """Return the tinted relief with the cells of `seen` (shape of the DEM) in orange: what the cameras cover.
-    `offset`: added to coordinates on the axes. `width`: without the axes."""
-    if seen.shape != dem.elevation.shape:
-        raise RasterError(f"seen cells of shape {seen.shape} do not fit a DEM of {dem.elevation.shape}")
-    view = view_of(interesting_bounds(seen, dem.geometry, [c.position for c in cameras], dem.geometry), width)
-    span = height_span(dem.elevation)
-    colors = _on_view(dem, view, lambda part: terrain_colors(part, span))
-    picture = np.asarray(np.nan_to_num(colors, nan=PAPER[0]).round(), np.uint8)
-    hit = nearest(seen.astype(np.uint8), dem.geometry, view, 0) > 0
-    mixed = np.asarray(cv2.addWeighted(picture, 0.45, np.full_like(picture, _SEEN), 0.55, 0.0), np.uint8)
-    picture = np.where(hit[..., None], mixed, picture)
-    legend = label_legend(width, Palette(("seen; ground tints: low green to high white",), (_SEEN,)))
-    return finished(with_axes(furnished(picture, view, cameras), view, offset), view, legend, note=title)
-
-
 def finished(picture: RgbImage, view: GridGeometry, *legends: RgbImage, note: str = "") -> RgbImage:
     """Return a map, which may have axes, over its scale bar, a note beside that, and its legends."""
     strips = []
@@ -116,23 +87,17 @@ def scale_bar(view: GridGeometry, note: str = "") -> RgbImage:
 
 
 def relief(dem: Dem, view: GridGeometry) -> RgbImage:
-    """Light grey relief on the view; paper where there is no terrain."""
-    shade = _on_view(dem, view, hillshade)
-    grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
-    grey = np.where(np.isfinite(shade), grey, PAPER[0])
-    return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
-
-
-def _on_view(dem: Dem, view: GridGeometry, draw: Callable[[Dem], NDArray[Any]]) -> Float32Array:
-    """Return what `draw` makes of the DEM under the view at its pixel centres, bilinear; NaN outside."""
+    """Light grey relief at the view's pixel centres, bilinear; paper where there is no terrain."""
     g = dem.geometry
     part = coarser(dem, max(1, min(int(view.resolution / g.resolution), min(g.height, g.width) // 2)), view)
     _, cols = part.geometry.to_grid(view.to_map(0, np.arange(view.width))[0], 0.0)
     rows, _ = part.geometry.to_grid(0.0, view.to_map(np.arange(view.height), 0)[1])
     u, v = (np.ascontiguousarray(np.broadcast_to(at, view.shape), np.float32) for at in (cols, rows[:, None]))
-    values, outside = np.asarray(draw(part), np.float32), (float("nan"),) * 4
-    sampled = cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
-    return np.asarray(sampled, np.float32)
+    outside = (float("nan"),) * 4
+    shade = cv2.remap(hillshade(part), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
+    grey = np.clip(40 + 225 * np.nan_to_num(shade, nan=0.0), 0, 255)
+    grey = np.where(np.isfinite(shade), grey, PAPER[0])
+    return np.repeat(grey.round().astype(np.uint8)[..., None], 3, axis=-1)
 
 
 def cells_under(geometry: GridGeometry, view: GridGeometry) -> tuple[IndexArray, IndexArray, BoolArray]:
@@ -141,12 +106,6 @@ def cells_under(geometry: GridGeometry, view: GridGeometry) -> tuple[IndexArray,
     row, col = geometry.cell_of(x[None, :], y[:, None])
     inside = np.asarray(geometry.contains(row, col), np.bool_)
     return np.clip(row, 0, geometry.height - 1), np.clip(col, 0, geometry.width - 1), inside
-
-
-def nearest(values: UInt8Array, geometry: GridGeometry, view: GridGeometry, outside: int) -> UInt8Array:
-    """Return the cell under each of the view's pixel centres."""
-    row, col, inside = cells_under(geometry, view)
-    return np.where(inside, values[row, col], np.uint8(outside))
 
 
 def view_of(bounds: tuple[float, float, float, float], width: int) -> GridGeometry:

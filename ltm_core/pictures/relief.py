@@ -18,7 +18,6 @@ _TINTS = np.array(
 )
 _NODATA = (214, 216, 220)
 _SHADE = 0.75  # strength of the shade over the height tints, 0 to 1
-_SPAN_CELLS = 1 << 22
 
 
 def coarser(dem: Dem, factor: int, view: GridGeometry | None = None) -> Dem:
@@ -71,19 +70,10 @@ def _brightness(east: NDArray[np.floating], north: NDArray[np.floating]) -> NDAr
     return light
 
 
-def height_span(elevation: Float32Array) -> tuple[float, float]:
-    """Return the 1st and 99th percentile of the known heights, of a large raster sampled; 0 to 1 if none is known."""
-    step = max(1, math.isqrt(elevation.size // _SPAN_CELLS))
-    taken = elevation[::step, ::step]
-    known = taken[np.isfinite(taken)]
-    low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
-    return float(low), float(high)
-
-
-def terrain_colors(dem: Dem, span: tuple[float, float] | None = None) -> RgbImage:
-    """Return the height tints under shaded relief, (H, W, 3). `span`: lowest and highest tint in metres."""
-    low, high = span or height_span(dem.elevation)
+def terrain_colors(dem: Dem) -> RgbImage:
+    """Return the height tints under shaded relief, (H, W, 3), from the 1st to the 99th percentile of the heights."""
     known = np.isfinite(dem.elevation)
+    low, high = np.percentile(dem.elevation[known], [1, 99]).tolist() if known.any() else (0.0, 1.0)
     place = np.clip((np.where(known, dem.elevation, low) - low) / max(high - low, 1e-3), 0, 1) * (len(_TINTS) - 1)
     tints = np.stack([np.interp(place, np.arange(len(_TINTS)), _TINTS[:, c]) for c in range(3)], axis=-1)
     tints[~known] = _NODATA

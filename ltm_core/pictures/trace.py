@@ -17,9 +17,10 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
-from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend, terrain_map_picture, with_legend
+from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend, with_legend
 from ltm_core.pictures.fuel_maps import FuelCanvas
 from ltm_core.pictures.legend import UNLABELLED, Palette, draw_texts
+from ltm_core.pictures.maps import interesting_bounds
 from ltm_core.pictures.photo_overlays import panel
 from ltm_core.pictures.relief import brightness_at
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
@@ -100,6 +101,7 @@ def _pixels(
 _SKY_TOP, _SKY_HORIZON = (150, 186, 220), (228, 236, 242)
 _UNKNOWN = (70, 70, 74)
 _SKYLINE = (255, 255, 255)
+_SEEN = Palette(("seen",), ((225, 87, 20),))
 _WIDEST_TRACE = 2200
 
 
@@ -128,7 +130,9 @@ def map_picture(
     camera = MapCamera("camera", traced.camera, (x, y), traced.pose.angles_deg[0], reach)
     offset = (0.0, 0.0) if frame is None else (frame.x_origin, frame.y_origin)
     share = f"; {percent((counts > 0).mean())} of the DEM" + ("" if frame is None else f"; {frame.crs}")
-    return terrain_map_picture(dem, counts > 0, [camera], title=title + share, offset=offset)
+    bounds = interesting_bounds(counts > 0, dem.geometry, [camera.position], dem.geometry)
+    canvas = FuelCanvas(dem.geometry, dem, [camera], bounds, offset, 1200, title + share)
+    return canvas.classes(np.where(counts > 0, np.uint8(0), np.uint8(UNLABELLED)), _SEEN)
 
 
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:

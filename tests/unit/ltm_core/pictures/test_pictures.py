@@ -14,7 +14,6 @@ from ltm_core.pictures import (
     label_colors,
     overlay_depth,
     overlay_labels,
-    terrain_map_picture,
 )
 from ltm_core.pictures.fuel_maps import CAMERAS, FuelCanvas
 from ltm_core.pictures.legend import SKY_COLOR, UNKNOWN_COLOR, Text, apart, error_colors, scale_colors
@@ -173,5 +172,3 @@ def test_map_refuses_rasters_that_do_not_fit() -> None:
         FuelCanvas(geometry, dem).classes(np.zeros((4, 5), np.uint8), LABELS)
     with pytest.raises(RasterError, match="one CRS"):
         FuelCanvas(geometry, Dem(dem.elevation, dem.geometry.translated(0.0, 0.0, "EPSG:25832")))
-    with pytest.raises(RasterError, match="seen cells"):
-        terrain_map_picture(dem, np.zeros((20, 29), bool))
