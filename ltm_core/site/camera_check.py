@@ -84,8 +84,8 @@ def check_mask(found: Findings, site: Site, name: str) -> None:
         mask = site_scene_filter(site, name).mask
         said, doubts = "polygons, drawn when the calibration is read from a topic", []
         if mask is not None:
-            said = f"hides {mask.share:.1%} of {mask.size[0]} x {mask.size[1]} pixels"
-            doubts += [_LITTLE_LEFT] if mask.share > _MUCH_MASKED else []
+            said = f"hides {mask.mean():.1%} of {mask.shape[1]} x {mask.shape[0]} pixels"
+            doubts += [_LITTLE_LEFT] if mask.mean() > _MUCH_MASKED else []
         turning = not isinstance(config.mask, Path) and all(polygon.kind in _TURNING for polygon in config.mask)
         if config.mount is not None and not turning:
             doubts.append(

@@ -7,7 +7,6 @@ in one view holds where the camera looks there again, with the lens as wide; any
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -20,44 +19,7 @@ from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.storage.image_io import read_values
-from ltm_core.vision.mask_config import MaskConfig, MaskPolygon, ViewMask
-
-
-@dataclass(frozen=True, eq=False)
-class CameraMask:
-    """Mask of a camera. `hidden`: (H, W) bool, True where the landscape is never visible. `place`: its name in errors.
-    Raises ConfigError for a mask that hides nothing, or everything."""
-
-    hidden: BoolArray
-    place: str
-
-    def __post_init__(self) -> None:
-        if not self.hidden.any():
-            raise ConfigError(f"{self.place}: the mask hides nothing; draw an area, or remove the key")
-        if self.hidden.all():
-            raise ConfigError(f"{self.place}: the mask hides the whole image; it may be inverted (non-zero is masked)")
-
-    @classmethod
-    def of_polygons(cls, polygons: Sequence[MaskPolygon], width: int, height: int, place: str) -> "CameraMask":
-        """Return the mask of polygons. Raises ConfigError, also for a polygon outside an image of this size."""
-        drawn = np.zeros((height, width), np.uint8)
-        for number, polygon in enumerate(polygons):
-            points = np.array(polygon.polygon, np.float64)
-            if (points.max(axis=0) < -0.5).any() or (points.min(axis=0) > (width - 0.5, height - 0.5)).any():
-                spans = f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()}"
-                raise ConfigError(f"{place}.{number}: the polygon is outside the image of {width} x {height} ({spans})")
-            fill(drawn, points.tolist())
-        return cls(drawn > 0, place)
-
-    @cached_property
-    def share(self) -> float:
-        """Return the masked share of the image."""
-        return float(self.hidden.mean())
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Return the size (width, height)."""
-        return self.hidden.shape[1], self.hidden.shape[0]
+from ltm_core.vision.mask_config import MaskConfig, ViewMask
 
 
 def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) -> None:
@@ -67,9 +29,10 @@ def fill(drawn: UInt8Array, polygon: Sequence[Sequence[float]], value: int = 1) 
 
 
 class MaskMaker:
-    """Mask of a key of the site file, `place`: call it with the size (width, height) of the images. A PNG, of its own
-    `size` only, is kept as bits, because a patrol has many views. Raises ConfigError for another format, nothing or
-    everything masked, and, when called, for another size."""
+    """Mask of a key of the site file, `place`: call it with the size (width, height) of the images; it returns (H, W)
+    bool, True where the landscape is never visible. A PNG, of its own `size` only, is kept as bits, because a patrol
+    has many views. Raises ConfigError for another format, and for a mask that hides nothing, or everything; when
+    called, for another size, and for a polygon outside the image."""
 
     def __init__(self, config: MaskConfig, place: str) -> None:
         self._polygons, self._place = config if isinstance(config, tuple) else (), place
@@ -87,19 +50,37 @@ class MaskMaker:
                 "single-channel PNG, 0 where the landscape is seen"
             )
         self._place = f"{place}: {config}"
-        self.size = CameraMask(values != 0, self._place).size
-        self._bits: UInt8Array = np.packbits(values != 0)
+        self.size = values.shape[1], values.shape[0]
+        self._bits: UInt8Array = np.packbits(self._checked(values != 0))
 
-    def __call__(self, width: int, height: int) -> CameraMask:
+    def __call__(self, width: int, height: int) -> BoolArray:
         if self.size is None:
-            return CameraMask.of_polygons(self._polygons, width, height, self._place)
+            return self._checked(self._drawn(width, height))
         if self.size != (width, height):
             raise ConfigError(
                 f"{self._place}: the mask has {self.size[0]} x {self.size[1]} pixels, but the camera's images have "
                 f"{width} x {height}; draw it again in that size (`ltm mask`)"
             )
-        hidden = np.unpackbits(self._bits, count=width * height).reshape(height, width)
-        return CameraMask(hidden.astype(np.bool_), self._place)
+        return np.unpackbits(self._bits, count=width * height).reshape(height, width).astype(np.bool_)
+
+    def _drawn(self, width: int, height: int) -> BoolArray:
+        drawn = np.zeros((height, width), np.uint8)
+        for number, polygon in enumerate(self._polygons):
+            points = np.array(polygon.polygon, np.float64)
+            if (points.max(axis=0) < -0.5).any() or (points.min(axis=0) > (width - 0.5, height - 0.5)).any():
+                spans = f"{points.min(axis=0).tolist()} to {points.max(axis=0).tolist()}"
+                where = f"outside the image of {width} x {height} ({spans})"
+                raise ConfigError(f"{self._place}.{number}: the polygon is {where}")
+            fill(drawn, points.tolist())
+        return drawn > 0
+
+    def _checked(self, hidden: BoolArray) -> BoolArray:
+        if not hidden.any():
+            raise ConfigError(f"{self._place}: the mask hides nothing; draw an area, or remove the key")
+        if hidden.all():
+            fault = "the mask hides the whole image; it may be inverted (non-zero is masked)"
+            raise ConfigError(f"{self._place}: {fault}")
+        return hidden
 
 
 def write_mask(path: Path, hidden: BoolArray) -> None:
@@ -107,7 +88,7 @@ def write_mask(path: Path, hidden: BoolArray) -> None:
     Image.fromarray(np.where(hidden, 255, 0).astype(np.uint8)).save(path, "PNG", optimize=True)
 
 
-MakeMask = Callable[[int, int], CameraMask]  # for images of a size (width, height), as `MaskMaker`
+MakeMask = Callable[[int, int], BoolArray]  # for images of a size (width, height), as `MaskMaker`
 _ZOOM = 0.03
 """Relative difference of the field of view within which a view mask applies: 1.5 % of the width at the edge."""
 

@@ -81,7 +81,7 @@ class SceneFilter:
     ) -> None:
         self._make, self._judged, self._views, self._place = make, judged, dict(views), place
         self.mask = make(*size) if make is not None and size is not None else None
-        """Mask of all views as last used; None: there is none, or the image size is not known yet."""
+        """(H, W) mask of all views as last used; None: there is none, or the image size is not known yet."""
         self._seen: tuple[str, BoolArray] | None = None
         for make_view in self._views.values():
             if size is not None:
@@ -91,15 +91,14 @@ class SceneFilter:
         """Return (H, W) bool, the masked pixels of images of this size in this direction (None: in all directions);
         None: no mask. Raises ConfigError."""
         view = None if looking is None else nearest_view(self._views, looking)
-        if self._make is not None and (self.mask is None or self.mask.size != (width, height)):
+        if self._make is not None and (self.mask is None or self.mask.shape != (height, width)):
             self.mask = self._make(width, height)
-        common = None if self.mask is None else self.mask.hidden
         if view is None:
-            return common
+            return self.mask
         # A camera dwells at a view: its mask is made once for all images of the stay.
         if self._seen is None or self._seen[0] != view.name or self._seen[1].shape != (height, width):
-            own = self._views[view](width, height).hidden
-            self._seen = view.name, own if common is None else own | common
+            own = self._views[view](width, height)
+            self._seen = view.name, own if self.mask is None else own | self.mask
         return self._seen[1]
 
     def look(self, picture: UInt8Array, looking: Looking | None = None, stamp_ns: int | None = None) -> SceneView:

@@ -11,7 +11,6 @@ from scenes.overlays import FRAMES, MASKED
 from ltm_core.base.types import UInt8Array
 from ltm_core.storage.image_io import read_rgb
 from ltm_core.vision.labels import Label
-from ltm_core.vision.masks import CameraMask
 from ltm_core.vision.overlays import find_overlay
 from ltm_core.vision.scene_view import SceneFilter
 from ltm_core.vision.segmenter import Segmenter
@@ -50,8 +49,7 @@ def test_labels_beside_overlays(shared_data: Path, kind: str) -> None:
     for name in CLEAN:
         photo = read_rgb(shared_data / name)
         drawn, hidden = (FRAMES | MASKED)[kind](photo)
-        mask = CameraMask(hidden, "mask")
-        scene = SceneFilter((lambda width, height, mask=mask: mask) if kind in MASKED else None)
+        scene = SceneFilter((lambda width, height, hidden=hidden: hidden) if kind in MASKED else None)
         beside = cv2.dilate(hidden.astype(np.uint8), np.ones((5, 5))) == 0
         changed.append((_labels(drawn, scene) != _labels(photo, SceneFilter()))[beside].mean())
     assert np.mean(changed) <= 0.03, np.round(changed, 3)

@@ -23,7 +23,6 @@ def test_a_ring_stays_a_ring_with_what_lies_in_it() -> None:
     region[20:30, 25:35] = True
     region[10:40, 50:60] = False
     np.testing.assert_array_equal(enclosed(region, 0.5), region)
-    assert len(polygons_of(region)) == 2
     full = np.zeros((50, 80), np.bool_)
     full[5:45, 10:70] = True
     np.testing.assert_array_equal(enclosed(region, 1.0, filled=True), full)

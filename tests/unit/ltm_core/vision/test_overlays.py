@@ -16,7 +16,6 @@ from ltm_core.pipeline.frame import PosedImage
 from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import UNLABELLED
-from ltm_core.vision.masks import CameraMask
 from ltm_core.vision.overlays import fill_hidden, find_overlay, scene_of
 from ltm_core.vision.scene_view import SceneFilter
 
@@ -94,8 +93,7 @@ def test_a_hole_continues_its_surroundings(width: int) -> None:
 @pytest.mark.parametrize("kind", [*FRAMES, *MASKED])
 def test_the_scene_alone_is_judged_and_given_to_networks(kind: str) -> None:
     drawn, truth = (FRAMES | MASKED)[kind](clear())
-    mask = CameraMask(truth, "mask")
-    view = SceneFilter((lambda width, height: mask) if kind in MASKED else None).look(drawn)
+    view = SceneFilter((lambda width, height: truth) if kind in MASKED else None).look(drawn)
     assert view.hidden is not None
     assert view.reason is None
     seen, grown = view.scene(drawn), cv2.dilate(view.hidden.astype(np.uint8), np.ones((3, 3))) > 0
