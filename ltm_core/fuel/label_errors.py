@@ -212,10 +212,10 @@ def labels_digest(manifest: NetworkManifest, head: Path | None = None) -> str:
     content: dict[str, Any] = manifest.model_dump(mode="json", include=_LABELS_BY, exclude_defaults=True)
     content["mapping"] = {name: label for name, label in manifest.mapping.items() if label != "unlabelled"}
     files = [] if head is None else [head]
-    if manifest.text is not None:
-        content["text"].pop("file", None)
+    if manifest.text is not None and (words := manifest.text.file) is not None:
+        content["text"].pop("file")
         with suppress(ModelError):
-            files.append(manifest.text_file())
+            files.append(manifest.file_of(words))
     content["files"] = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     return hashlib.sha256(json.dumps(_rounded(content), sort_keys=True).encode()).hexdigest()
 

@@ -78,4 +78,4 @@ def terrain_colors(dem: Dem) -> RgbImage:
     tints = np.stack([np.interp(place, np.arange(len(_TINTS)), _TINTS[:, c]) for c in range(3)], axis=-1)
     tints[~known] = _NODATA
     light = 1.0 + _SHADE * (np.nan_to_num(hillshade(dem), nan=0.75) / 0.75 - 1.0)
-    return np.clip(tints * light[..., None], 0, 255).round().astype(np.uint8)
+    return np.asarray(np.clip(tints * light[..., None], 0, 255).round(), np.uint8)

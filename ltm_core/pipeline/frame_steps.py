@@ -30,9 +30,7 @@ from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.tracer import TracerStatistics
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
-from ltm_core.vision.manifest import NetworkManifest, Withdrawal
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView
 from ltm_core.vision.segmenter import Segmentation, Segmenter
@@ -59,9 +57,9 @@ class LabellingConfig(StrictModel):
 
 
 @dataclass(frozen=True, eq=False)
-class _Tracers:
-    """Tracers over one terrain. `version`: of the confirmed surface. `bare`: over bare earth, or `tracer` itself if
-    nothing stands on it."""
+class Tracers:
+    """Tracers over one terrain. `version`: of the confirmed surface, AS_GIVEN for the site's rasters. `bare`: over bare
+    earth, or `tracer` itself if nothing stands on it."""
 
     version: str
     tracer: TerrainTracer
@@ -73,12 +71,7 @@ class TracedFrame:
     """Traced frame. `ranges`: to the visible terrain. `over`: the terrain it was traced on."""
 
     ranges: RangeImage
-    over: _Tracers
-
-    @property
-    def version(self) -> str:
-        """Return the version of the confirmed surface; AS_GIVEN for the site's rasters."""
-        return self.over.version
+    over: Tracers
 
     def bare_earth(self) -> RangeImage:
         """Return the ranges to bare earth of the same version; the same ranges if nothing is known to stand on it."""
@@ -92,18 +85,18 @@ class TracingStep:
     def __init__(self, site: Site, camera: str, config: TracingConfig) -> None:
         self._scene = site_scene_filter(site, camera)
         self._site, self._surface = site, config.surface
-        self._given: _Tracers | None = None
+        self._given: Tracers | None = None
         self.trace_to(given_terrain(site))
 
     def trace_to(self, terrain: ConfirmedTerrain) -> None:
         """Use this terrain from now on. It is built completely before it replaces the previous one. Raises
         RasterError."""
-        self._over = self._tracers(terrain)
+        self.over = self._tracers(terrain)
 
     def trace(self, camera: Camera, pose: Pose) -> TracedFrame:
         """Trace a frame. Raises PoseError as the tracer does; but a frame from below a confirmed surface (growth around
         a mast) is traced to the terrain as given."""
-        over = self._over
+        over = self.over
         try:
             return TracedFrame(over.tracer.trace(camera, pose), over)
         except PoseError:
@@ -113,26 +106,16 @@ class TracingStep:
             self._given = self._tracers(given_terrain(self._site))
         return TracedFrame(self._given.tracer.trace(camera, pose), self._given)
 
-    @property
-    def statistics(self) -> TracerStatistics:
-        """Return the statistics of the tracer in use."""
-        return self._over.tracer.statistics
-
-    @property
-    def version(self) -> str:
-        """Return the version of the confirmed surface in use."""
-        return self._over.version
-
     def hidden(self, camera: Camera, pose: Pose) -> BoolArray | None:
         """Return (H, W) bool, True where the mask of this direction hides the landscape; None: nowhere."""
         return self._scene.hidden(camera.width, camera.height, Looking.of(camera, pose))
 
-    def _tracers(self, terrain: ConfirmedTerrain) -> _Tracers:
+    def _tracers(self, terrain: ConfirmedTerrain) -> Tracers:
         site, top = self._site, terrain.top if self._surface else terrain.ground
         rays = site.curvature, site.refraction, site.possible_ground
         tracer = TerrainTracer(top, *rays)
         bare = tracer if top is terrain.ground else TerrainTracer(terrain.ground, *rays)
-        return _Tracers(terrain.name, tracer, bare)
+        return Tracers(terrain.name, tracer, bare)
 
 
 def seen(values: Float32Array, hidden: BoolArray | None) -> Float32Array:
@@ -205,27 +188,12 @@ class LabellingStep:
         self._smoke = SmokeMemory() if own.judge_pictures and own.judge_smoke else None
         self._site, self._config = site, config
         self._prompt: tuple[str, Segmenter] | None = None
-        self._segmenter = site_segmenter(site, camera, config.model, config.threads)
+        self.segmenter = site_segmenter(site, camera, config.model, config.threads)
         network = label_network(site, config.model or site.model)
         self.reliability = known_errors(network, own.label_head, site.label_heads).state
         """What the labels were measured on (`LabelErrors.state`)."""
         chosen = config.model_dump(include={"confidence", "tree_contrast"}, exclude_none=True)
-        self._segmenter.withdraw_otherwise = chosen
-
-    @property
-    def described(self) -> str:
-        """Return the name and checksum of the label network."""
-        return self._segmenter.described
-
-    @property
-    def manifest(self) -> NetworkManifest:
-        """Return the network's manifest."""
-        return self._segmenter.manifest
-
-    @property
-    def withdrawal(self) -> Withdrawal:
-        """Return which labels are withdrawn."""
-        return self._segmenter.withdrawal
+        self.segmenter.withdraw_otherwise = chosen
 
     @cached_property
     def _terrain(self) -> UnlikelyLabels:
@@ -243,7 +211,7 @@ class LabellingStep:
         view = self._scene.look(photo, Looking.of(frame.camera, frame.pose), frame.stamp_ns)
         if view.reason is None:
             unlikely = self._terrain.of(frame.camera, frame.pose, covariance)
-            found = self._segmenter.segment(view.scene(photo), unlikely)
+            found = self.segmenter.segment(view.scene(photo), unlikely)
         else:
             found = Segmentation(np.zeros(photo.shape[:2], np.uint8), np.zeros(photo.shape[:2], np.uint8))
         view.unlabelled(found.labels, found.confidence)

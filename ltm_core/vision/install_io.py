@@ -10,8 +10,6 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 import yaml
 from pydantic import Field
@@ -138,16 +136,14 @@ class Source:
 
 
 @contextmanager
-def source_of(given: str, progress: Progress = lambda received: None, fetch: bool = False) -> Iterator[Source]:
+def source_of(given: str, progress: Progress = lambda received: None) -> Iterator[Source]:
     """Yield the network that `ltm models add` is to add: an ONNX file, its folder, a manifest, or a recipe by its name.
 
     The files of a recipe are downloaded into the user's folder of models, and deleted once the network is added;
-    `progress` gets the bytes received. A manifest's file is downloaded from its `url` only with `fetch`. Raises
-    ModelError."""
+    `progress` gets the bytes received. Raises ModelError."""
     path = Path(given)
     if path.suffix in (".yaml", ".yml"):
-        with _of_manifest(path, fetch, progress) as found:
-            yield found
+        yield _of_manifest(path)
     elif is_folder(path):
         yield _of_file(network_in(path))
     elif is_file(path):
@@ -241,10 +237,6 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
     ModelError."""
     import httpx
 
-    if url.startswith("file://"):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(url2pathname(urlsplit(url).path), target)
-        return
     if is_file(target) and digest is not None and file_digest(target) == digest:
         return
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -302,12 +294,11 @@ def _of_file(path: Path) -> Source:
     return Source(path, name, stated, found["config"], found["preprocessor_config"], licence)
 
 
-@contextmanager
-def _of_manifest(path: Path, fetch: bool, progress: Progress) -> Iterator[Source]:
+def _of_manifest(path: Path) -> Source:
     content = read_yaml(path)
     if not isinstance(content, dict) or not isinstance(content.get("file"), str):
         raise ModelError(f"{path}: expected a mapping with `file`, the name of the ONNX file")
-    folder, url = path.resolve().parent, content.get("url")
+    folder = path.resolve().parent
     stated = {key: value for key, value in content.items() if key != "file"}
     name = str(content.get("name", path.stem))
     for section in ("text", "prompts"):
@@ -316,17 +307,6 @@ def _of_manifest(path: Path, fetch: bool, progress: Progress) -> Iterator[Source
             stated[section] = files | {k: str(find_file(Path(v), folder, str(path))) for k, v in named.items()}
     if isinstance(card := content.get("card"), str) and is_file(folder / card):
         stated["card"] = str(folder / card)
-    made = added_folder() / ".downloads" / re.sub(r"\W", "_", name)
-    try:
-        file = find_file(Path(content["file"]), folder, str(path), str(content.get("source", "")))
-    except ModelError as absent:
-        if not isinstance(url, str):
-            raise
-        if not fetch:
-            raise ModelError(f"{absent}. It is available at {url}: add --fetch to download it") from absent
-        file = made / Path(content["file"]).name
-        download(url, file, stated.get("sha256"), progress)
-    found = _of_file(file)
+    found = _of_file(find_file(Path(content["file"]), folder, str(path), str(content.get("source", ""))))
     beside = (path.with_name(f"{path.stem}{FUSION_SUFFIX}"), *(folder / RECORDS).glob("*.yaml"))
-    yield replace(found, name=name, stated=stated, beside=tuple(filter(is_file, beside)))
-    shutil.rmtree(made, ignore_errors=True)
+    return replace(found, name=name, stated=stated, beside=tuple(filter(is_file, beside)))

@@ -136,7 +136,6 @@ class NetworkManifest(StrictModel):
     licence: str
     card: str  # a Markdown file beside the manifest, or a few words
     source: str = ""  # where the file can be had, for the message when it is absent
-    url: str | None = Field(default=None, pattern=r"^(https|file)://")  # fetched by `ltm models add --fetch` alone
     text: TextSpec | None = None
     prompts: PromptSpec | None = None
     # Outputs of the graph that heads read -> channels; (1, C, h, w) float32 each (`label_head`).
@@ -206,7 +205,7 @@ class NetworkManifest(StrictModel):
         for path in (folder / f"{text}.yaml" for folder in (models_folder(), added_folder())):
             if is_file(path):
                 return cls.load(path)
-        names = ", ".join([*shipped_names(), *added_names()]) or "none"
+        names = ", ".join(installed_names())
         raise ModelError(f"no model {text!r}; installed models: {names} (or give the path of a manifest)")
 
     def require(self, depth: bool) -> "NetworkManifest":
@@ -233,12 +232,6 @@ class NetworkManifest(StrictModel):
         """Return the path of the network, as `find_file` finds it. Raises ModelError."""
         return self.file_of(self.file)
 
-    def text_file(self) -> Path:
-        """Return the path of the words' embeddings, found as the network is. Raises ModelError, also without any."""
-        if self.text is None or self.text.file is None:
-            raise ModelError(f"model {self.name!r} has no file of text embeddings; its output is {self.output.kind}")
-        return self.file_of(self.text.file)
-
     def file_of(self, file: Path) -> Path:
         """Return the path of a file that the manifest names, found as the network is. Raises ModelError."""
         return find_file(file, self.folder, f"model {self.name!r}", self.source)
@@ -264,20 +257,20 @@ def models_folder() -> Path:
     return config_path("labels.yaml").parent / "models"
 
 
-def shipped_names() -> list[str]:
-    """Return the names of the manifests in `config/models`, sorted."""
-    return _names(models_folder())
-
-
 def added_folder() -> Path:
     """Return the folder of the models that a user added (`ltm models add`): `ltm/models` in the user's data folder."""
     data = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
     return Path(data) / "ltm" / "models"
 
 
-def added_names() -> list[str]:
-    """Return the names of the models that a user added, sorted."""
-    return _names(added_folder())
+def shipped_names() -> list[str]:
+    """Return the names of the manifests in `config/models`, sorted."""
+    return _names(models_folder())
+
+
+def installed_names() -> list[str]:
+    """Return the names of the manifests that ship, then of those that a user added, each sorted."""
+    return [*shipped_names(), *_names(added_folder())]
 
 
 def _names(folder: Path) -> list[str]:

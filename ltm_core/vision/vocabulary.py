@@ -3,12 +3,10 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.errors import ModelError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import Float32Array
@@ -17,34 +15,16 @@ from ltm_core.vision.manifest import NetworkManifest
 
 
 class Vocabulary(StrictModel):
-    """Words and their labels."""
+    """Words by label (`config/vocabulary.yaml`)."""
 
     synonyms: dict[str, tuple[str, ...]]
-
-    @classmethod
-    def load(cls, path: Path | None = None) -> "Vocabulary":
-        """Read a vocabulary file, by default the one that ships. Raises ConfigError, also for a word of two labels."""
-        path = config_path("vocabulary.yaml") if path is None else path
-        vocabulary = load_yaml(path, cls)
-        seen: dict[str, str] = {}
-        for label, words in vocabulary.synonyms.items():
-            for word in words:
-                if word in seen:
-                    raise ConfigError(f"{path}: {word!r} is mapped to {seen[word]} and to {label}; give it one label")
-                seen[word] = label
-        return vocabulary
-
-    @cached_property
-    def label_of(self) -> dict[str, str]:
-        """Return each known word and the label it stands for; labels stand for themselves."""
-        words = {word: label for label, words in self.synonyms.items() for word in words}
-        return words | {label: label for label in self.synonyms}
 
 
 def labels_of_classes(names: Sequence[str]) -> dict[str, str]:
     """Return the label of each class of a network whose name is in the vocabulary: `earth, ground` by its first known
     part, and COCO's `tree-merged` as `tree`. Other classes are missing."""
-    known = Vocabulary.load().label_of
+    synonyms = load_yaml(config_path("vocabulary.yaml"), Vocabulary).synonyms
+    known = {word: label for label, words in synonyms.items() for word in (*words, label)}
     found: dict[str, str] = {}
     for name in names:
         parts = [part.strip().replace("_", " ") for part in re.split(r"[,;]|--", name.lower())]
@@ -79,9 +59,12 @@ class TextEmbeddings:
 def load_text(manifest: NetworkManifest) -> TextEmbeddings:
     """Load the text embeddings of a manifest. Raises ModelError for a missing file, other arrays, another dimension
     than stated, repeated words, or words in `mapping` that are missing."""
-    path, spec = manifest.text_file(), manifest.text
-    if spec is None:
-        raise ModelError(f"model {manifest.name!r} has no text embeddings")
+    spec = manifest.text
+    if spec is None or spec.file is None:
+        raise ModelError(
+            f"model {manifest.name!r} has no file of text embeddings; its output is {manifest.output.kind}"
+        )
+    path = manifest.file_of(spec.file)
     words, given = load_arrays(path, ("names", "embeddings"), LARGEST, ModelError)
     if words.dtype.kind not in "US" or given.dtype.kind not in "fiu":
         raise ModelError(f"{path}: names are {words.dtype}, embeddings {given.dtype}; expected texts and numbers")

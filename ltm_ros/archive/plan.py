@@ -115,8 +115,8 @@ def code_digest() -> str:
 
 def site_digest(site: Site, camera: str, tracing: TracingConfig, labelling: LabellingConfig) -> str:
     """Return the digest of all that makes evidence of a camera's frames, except these. Raises LtmError."""
-    step = LabellingStep(site, camera, labelling)
-    network = [step.described, step.manifest.model_dump(mode="json"), step.withdrawal.model_dump()]
+    own = LabellingStep(site, camera, labelling).segmenter
+    network = [own.described, own.manifest.model_dump(mode="json"), own.withdrawal.model_dump()]
     errors = site_label_errors(site), sorted(camera_label_errors(site).items())
     labels = config_path(site.labels)
     settings = _by_content([site.model_dump(exclude=_WITHOUT_EFFECT), network, errors, labels])

@@ -75,7 +75,7 @@ class FrameSteps:
     @property
     def described(self) -> str:
         """Return the name and checksum of the label network."""
-        return self._labelling.described
+        return self._labelling.segmenter.described
 
     def votes(self, frame: ArchiveFrame, photo: UInt8Array) -> tuple[CellVotes | None, str]:
         """Return the votes of a frame, None without any, and why it is not fully used. Raises LtmError."""

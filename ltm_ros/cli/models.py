@@ -20,7 +20,7 @@ from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_folder
 from ltm_core.storage.image_io import photos_in, read_rgb
 from ltm_core.vision.install_io import RecipeFile, install, source_of, stated_by
-from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD, NetworkManifest, added_names, shipped_names
+from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD, NetworkManifest, installed_names
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.overlays import scene_of
 from ltm_core.vision.prompts import labels_of_prompts, prompted
@@ -45,7 +45,6 @@ def models(
     images: Annotated[Path | None, Option(help="Photo or folder of photos to run on (check, add).")] = None,
     classes: Annotated[str | None, Option(help='Prompts of a text network: "dry grass, chaparral" (check).')] = None,
     out: Annotated[Path, Option(help="Folder for images (check, add).")] = Path("out/models"),
-    fetch: Annotated[bool, Option("--fetch", help="Download the file from the manifest's URL (add).")] = False,
     named: Annotated[str, Option("--name", help="Name of the model; default: that of its file (add).")] = "",
     stated: Annotated[list[str] | None, Option("--set", help="Key of the manifest: output.kind=metric (add).")] = None,
     like: Annotated[str, Option(help="Recipe whose properties the file has (add).")] = "",
@@ -63,13 +62,13 @@ def models(
         return
     if name is None:
         raise ConfigError("give the network to add: ltm models add model.onnx (or its folder, a manifest, or a recipe)")
-    _add(name, fetch, named, stated or [], like, images, out)
+    _add(name, named, stated or [], like, images, out)
 
 
-def _add(given: str, fetch: bool, name: str, options: list[str], like: str, images: Path | None, out: Path) -> None:
+def _add(given: str, name: str, options: list[str], like: str, images: Path | None, out: Path) -> None:
     """Determine the manifest of a network, run the network on photos, and then copy it."""
     status = working("downloading")
-    with status, source_of(given, lambda received: status.update(f"{received / 1e6:.0f} MB"), fetch) as found:
+    with status, source_of(given, lambda received: status.update(f"{received / 1e6:.0f} MB")) as found:
         status.stop()
         manifest = recognise(found, stated_by(options), like, name)
         _check(manifest, images, out)
@@ -99,7 +98,7 @@ def _measure(name: str, path: Path | None, recordings: list[Path], photos: Path 
 def _list() -> None:
     rows: list[Row] = []
     faults: list[str] = []
-    for name in [*shipped_names(), *added_names()]:
+    for name in installed_names():
         cells, state = ["", "", "", ""], ("red", "not usable")
         try:
             manifest = NetworkManifest.find(name)

@@ -67,8 +67,8 @@ class DepthHandler(JoiningHandler[DepthConfig]):
             return
         hidden = self._step.hidden(camera, where)
         traced = self._step.trace(camera, where)
-        ranges, version = traced.ranges, traced.version
-        if version != self._step.version:
+        ranges, version = traced.ranges, traced.over.version
+        if version != self._step.over.version:
             self.health.note("below_confirmed_surface")
         self.outlet.publish(topics.DEPTH_CAMERA_INFO, camera_to_msg(camera, stamp, self._frame_id))
         self.outlet.provide(
@@ -81,7 +81,7 @@ class DepthHandler(JoiningHandler[DepthConfig]):
             self.outlet.publish(topics.ALIGNMENT, image_to_msg(seen(ranges.points(), hidden), "32FC3", stamp, "map"))
         if self.config.surfaces:
             self.outlet.provide(topics.DEPTH_INFO, stamp, lambda: traced_to_msg(self.config.camera, stamp, version))
-        for name, count in asdict(self._step.statistics).items():
+        for name, count in asdict(self._step.over.tracer.statistics).items():
             self.health.gauge(f"tracer.{name}", count)
 
 

@@ -46,7 +46,9 @@ class SegmentationHandler(JoiningHandler[SegmentationConfig]):
 
     def start(self) -> None:
         step = self._step
-        self.outlet.publish(topics.LABELS_INFO, label_set_to_msg(self._labels, step.described, step.reliability))
+        self.outlet.publish(
+            topics.LABELS_INFO, label_set_to_msg(self._labels, step.segmenter.described, step.reliability)
+        )
         self.health.gauge("labels", step.reliability)
 
     def on_prompt(self, message: Any) -> None:

@@ -33,7 +33,7 @@ from ltm_core.pictures.legend import (
     to_jpeg,
     to_png,
 )
-from ltm_core.pictures.maps import MapCamera, finished, furnished, interesting_bounds, nearest, view_of
+from ltm_core.pictures.maps import MapCamera, cells_under, finished, furnished, interesting_bounds, view_of
 from ltm_core.pictures.photo_overlays import label_colors, overlay_depth, overlay_labels
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
@@ -130,7 +130,8 @@ def map_image(
     seen = np.concatenate([camera.sector() for camera in cameras]).tolist() if cameras else ()
     bounds = interesting_bounds(known, geometry, seen, geometry)
     view = view_of(bounds, WIDTH)
-    ids = nearest(classes, geometry, view, UNLABELLED)
+    row, col, inside = cells_under(geometry, view)
+    ids = np.where(inside, classes[row, col], np.uint8(UNLABELLED))
     picture = label_colors(ids, palette, unlabelled=_GREY)
     lines = np.zeros(ids.shape, np.bool_)
     lines[:, 1:] |= ids[:, 1:] != ids[:, :-1]

@@ -164,7 +164,7 @@ TEXT_FILES = (
     _yaml("fuel_models", _shipped("fuel/fuel_models.yaml"), lambda path: load_yaml(path, FuelModels)),
     _yaml("label_errors", _records, stated_errors),
     _yaml("fusion", _shipped("models/landscape_lite0_depth_fusion.yaml"), lambda path: load_yaml(path, FusionConfig)),
-    _yaml("vocabulary", _shipped("vocabulary.yaml"), Vocabulary.load),
+    _yaml("vocabulary", _shipped("vocabulary.yaml"), lambda path: load_yaml(path, Vocabulary)),
     _yaml("picture", _texts(_PICTURE, _ABOVE), lambda path: set_up_picture(load_picture_config(path), _dem())),
     _yaml("guess", _texts(_PICTURE, _ABOVE), lambda path: set_up_resection(load_yaml(path, GuessConfig), _dem(), None)),
     _yaml(

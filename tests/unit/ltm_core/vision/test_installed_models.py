@@ -151,22 +151,6 @@ def test_a_file_that_is_no_network_is_rejected(tmp_path: Path, data_folder: Path
     assert not data_folder.exists()
 
 
-def test_nothing_is_fetched_unless_asked_and_the_checksum_decides(tmp_path: Path, data_folder: Path) -> None:
-    path = _renamed(tmp_path)
-    elsewhere = (tmp_path / "nets" / "colors.onnx").rename(tmp_path / "elsewhere.onnx")
-    changed(path, url=elsewhere.as_uri())
-    with pytest.raises(ModelError, match=r"file://.* --fetch"):
-        add(path)
-    with elsewhere.open("ab") as file:
-        file.write(b"x")
-    with pytest.raises(ModelError, match=r"has sha256 [0-9a-f]{64}, expected [0-9a-f]{64}"):
-        add(path, "--fetch")
-    assert not (data_folder / "mine.yaml").exists()
-    elsewhere.write_bytes(elsewhere.read_bytes()[:-1])
-    add(path, "--fetch")
-    assert files(data_folder) == ["mine.yaml", "mine/mine.onnx"]
-
-
 class _Hub(BaseHTTPRequestHandler):
     """A hub that redirects to its storage, with ranges; `folder`: its files, `cut`: bytes after which it hangs up."""
 

@@ -107,8 +107,8 @@ def test_the_scene_alone_is_judged_and_given_to_networks(kind: str) -> None:
 def test_labels_are_those_of_the_scene_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     site = load_site(write_small_site(tmp_path, recording=False).path)
     step, given = LabellingStep(site, "tower", LabellingConfig()), []
-    segment = step._segmenter.segment
-    monkeypatch.setattr(step._segmenter, "segment", lambda photo, *_: given.append(photo) or segment(photo))
+    segment = step.segmenter.segment
+    monkeypatch.setattr(step.segmenter, "segment", lambda photo, *_: given.append(photo) or segment(photo))
     drawn, truth = FRAMES["black above"](clear())
     camera = Camera.from_fov(drawn.shape[1], drawn.shape[0], 60.0)
     found, view = step.label(PosedImage(drawn, camera, Pose.from_angles((0.0, 0.0, 0.0), 0.0), 0, "tower"), np.eye(6))

@@ -135,7 +135,7 @@ def test_a_camera_may_be_judged_without_it(tmp_path: Path, monkeypatch: pytest.M
         content["expert"] = {"cameras": {"mast": {"judge_smoke": judged}}}
         small.path.write_text(yaml.safe_dump(content))
         step = LabellingStep(load_site(small.path), "mast", LabellingConfig())
-        monkeypatch.setattr(step._segmenter, "segment", lambda *_: Segmentation(labels(), np.full(SIZE, 200, np.uint8)))
+        monkeypatch.setattr(step.segmenter, "segment", lambda *_: Segmentation(labels(), np.full(SIZE, 200, np.uint8)))
         camera, pose = Camera.from_fov(SIZE[1], SIZE[0], 60.0), Pose.from_angles((0.0, 0.0, 0.0), 0.0)
         step.label(PosedImage(land(), camera, pose, 0, "mast"), np.eye(6))
         found, view = step.label(PosedImage(picture, camera, pose, int(APART_S * 1e9), "mast"), np.eye(6))
