@@ -36,12 +36,6 @@ class ErrorModel(NamedTuple):
         plain = np.zeros(OCTAVES, np.float32)
         return cls(plain, plain + 1, np.float32(1.0))
 
-    def standardized(self, read: Float64Array, samples: GroundSamples) -> Float64Array:
-        """Return true minus measured inverse depth at samples (N,), in sigmas of both network and terrain."""
-        at = octaves(samples.depth)
-        off = 1.0 - read * samples.depth - self.shift[at]
-        return np.asarray(off / np.hypot(self.factor[at], samples.sigma / samples.depth), np.float64)
-
 
 def octaves(depth: NDArray[np.floating]) -> IndexArray:
     """Return the half octave of each depth in metres."""

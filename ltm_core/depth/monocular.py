@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -11,14 +11,12 @@ from ltm_core.base.errors import ImageError, ModelError
 from ltm_core.base.types import Float32Array, Float64Array, UInt8Array
 from ltm_core.depth.fusion_config import load_fusion_config
 from ltm_core.geometry.camera import Camera
-from ltm_core.vision.manifest import DEPTH_KINDS, NetworkManifest
+from ltm_core.vision.manifest import DepthKind, NetworkManifest
 from ltm_core.vision.network_image import as_tensor, fitted, pixel_rays, scaled_matrix
 from ltm_core.vision.onnx_model import OnnxModel
 
 _ROUNDS: Final = 100
 """Maximum rounds of reweighting of the shift of 3-D points; real ones take about 5."""
-
-DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +30,6 @@ class NetworkDepth:
     kind: DepthKind
 
     def __post_init__(self) -> None:
-        if self.kind not in DEPTH_KINDS:
-            raise ImageError(f"network depth of kind {self.kind!r}; supported kinds: {', '.join(DEPTH_KINDS)}")
         values = np.ascontiguousarray(self.values, np.float32)
         if values.ndim != 2 or min(values.shape) < 2:
             raise ImageError(f"network depth must be an image of 2 x 2 or more numbers, got shape {values.shape}")

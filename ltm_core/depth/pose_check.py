@@ -49,8 +49,12 @@ def check_pose(
     nearest = (config.cover + dem_sigma) / math.radians(config.near_deg)
     rows, cols = _far_edges(ground, jump, nearest, config.most_edges, hidden)
     if labels is not None and classes is not None:
-        clear_of_trees = _clear_of_trees(rows, cols, ground, labels, classes.crest, dem_sigma, config)
-        rows, cols = rows[clear_of_trees], cols[clear_of_trees]
+        # Without trees' edges, by the labels right above and below, unless so far that trees are not much.
+        crest, beside = classes.crest, labels[np.maximum(rows - config.beside, 0), cols]
+        height = np.maximum(crest[beside], crest[labels[rows, cols]])
+        far = ground[rows, cols] > (height + dem_sigma) / math.radians(config.near_deg)
+        clear = far | (height <= crest[UNLABELLED])
+        rows, cols = rows[clear], cols[clear]
     if len(rows) < config.least_edges:
         return PoseCheck(len(rows))
     allowed = config.allowed_deg + 3 * math.degrees(angle_sigma)
@@ -58,22 +62,6 @@ def check_pose(
     reason = f"the photo's edges fit the terrain's silhouettes {gain:.1f} times better with the camera turned by "
     reason += f"{pitch:+.2f} deg of pitch and {azimuth:+.2f} deg of azimuth"
     return PoseCheck(len(rows), pitch, azimuth, gain, suspected, reason if suspected else "", True)
-
-
-def _clear_of_trees(
-    rows: Int32Array,
-    cols: Int32Array,
-    ground: Float32Array,
-    labels: UInt8Array,
-    crest: Float32Array,
-    dem_sigma: float,
-    config: PoseCheckConfig,
-) -> BoolArray:
-    """Return which edges (N,) are no trees', by the labels right above and below them, or so far that trees are not
-    much."""
-    height = np.maximum(crest[labels[np.maximum(rows - config.beside, 0), cols]], crest[labels[rows, cols]])
-    far = ground[rows, cols] > (height + dem_sigma) / math.radians(config.near_deg)
-    return np.asarray(far | (height <= crest[UNLABELLED]))
 
 
 def _check_edges(

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array
-from ltm_core.depth.error_model import ErrorModel, estimate_errors
+from ltm_core.depth.error_model import ErrorModel, estimate_errors, octaves
 from ltm_core.depth.fusion_config import FusionConfig, RegressionConfig
 from ltm_core.depth.ground_sampling import GroundSamples
 from ltm_core.depth.monocular import NetworkDepth
@@ -130,7 +130,9 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
         return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
     model = estimate_errors(read, samples, size, config)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
-    joint = model.standardized(read, samples)
+    at = octaves(samples.depth)
+    off = 1.0 - read * samples.depth - model.shift[at]
+    joint = off / np.hypot(model.factor[at], samples.sigma / samples.depth)  # in sigmas of network and terrain
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > rules.gross_sigmas) + rules.covered_gross * np.mean(joint < -rules.gross_sigmas))
     gross = max(gross, rules.least_gross, min(line.sigma, rules.noisy_gross))

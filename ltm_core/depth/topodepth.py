@@ -28,11 +28,11 @@ from ltm_core.depth.scale_fit import ScaleFit
 from ltm_core.depth.unseen_terrain import (
     clear_unenclosed,
     hidden_at,
-    labels_behind,
     mostly_unknown,
     with_labelled_sky,
 )
 from ltm_core.geometry.range_image import DepthImage, RangeImage
+from ltm_core.vision.labels import UNLABELLED
 
 
 class DepthSource(IntEnum):
@@ -225,10 +225,11 @@ class Fusion:
 
     @cached_property
     def _labels(self) -> UInt8Array | None:
-        """The labels, with those that are expected behind hidden pixels."""
+        """The labels, with those expected behind hidden pixels: sky where no ground is traced."""
         if self.labels is None or self.hidden is None:
             return self.labels
-        return labels_behind(self.hidden, self.labels, self.traced.depth(), self.classes.sky)
+        behind = np.where(np.isfinite(self.traced.depth()), np.uint8(UNLABELLED), np.uint8(self.classes.sky))
+        return np.asarray(np.where(self.hidden, behind, self.labels), np.uint8)
 
     @cached_property
     def _ground(self) -> Float32Array:

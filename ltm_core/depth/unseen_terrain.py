@@ -6,13 +6,6 @@ import cv2
 import numpy as np
 
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
-from ltm_core.vision.labels import UNLABELLED
-
-
-def labels_behind(hidden: BoolArray, labels: UInt8Array, ground: Float32Array, sky: int) -> UInt8Array:
-    """Return labels (H, W) in which hidden pixels (H, W) have the expected label: sky where no ground is traced."""
-    behind = np.where(np.isfinite(ground), np.uint8(UNLABELLED), np.uint8(sky))
-    return np.asarray(np.where(hidden, behind, labels), np.uint8)
 
 
 def hidden_at(hidden: BoolArray, height: int, width: int) -> BoolArray:

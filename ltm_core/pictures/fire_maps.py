@@ -12,10 +12,10 @@ from ltm_core.base.types import BoolArray, RgbImage
 from ltm_core.fire.effect import FireEffect, FireScenario
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.pictures.fuel_maps import FuelCanvas, Scale, bare_map
+from ltm_core.pictures.fuel_maps import FuelCanvas, Scale, bare_map, sheet
 from ltm_core.pictures.legend import INK, PAPER, Text, draw_texts, label_legend
 from ltm_core.pictures.maps import MapCamera, interesting_bounds
-from ltm_core.pictures.photo_overlays import label_colors, panel
+from ltm_core.pictures.photo_overlays import label_colors
 from ltm_core.raster.dem import Dem
 
 FLAME: Final = Scale(
@@ -89,7 +89,7 @@ def fire_sheet(effect: FireEffect, landscape: Landscape, scenario: FireScenario,
         "Change of the arrival time by the update": canvas.drawn(values, known, DIFFERENCE),
         "Change of the flame length, where both burn": canvas.drawn(*changed, FLAME_DIFFERENCE),
     }
-    return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1], heading=heading)
+    return sheet(maps, heading)
 
 
 def arrival_overlay(effect: FireEffect, landscape: Landscape) -> tuple[RgbImage, RgbImage]:

@@ -221,7 +221,7 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette, he
         doubt = canvas.scaled(layers.entropy, known, DOUBT)
         maps["Uncertainty of the life form: entropy, 0 certain to 1 unknown"] = doubt
         maps["Number of cameras that see a cell"] = canvas.scaled(layers.seen_by, seen, CAMERAS)
-    return _sheet(maps, heading)
+    return sheet(maps, heading)
 
 
 def change_sheet(
@@ -245,11 +245,13 @@ def change_sheet(
         f"Fuel model: {then}": canvas.codes(before.code, changed),
         f"Fuel model: {now}": canvas.codes(after.code, changed),
     }
-    return _sheet(maps, heading)
+    return sheet(maps, heading)
 
 
 def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "") -> RgbImage:
     """Draw, for each camera, how many frames saw each cell, and the smallest footprint. Raises ImageError."""
+    if not coverage.cameras:
+        raise ImageError("no camera has seen a cell of the fuel map, so there is no coverage to draw")
     maps = {}
     for name, seen in sorted(coverage.cameras.items()):
         hectares = (seen.frames > 0).sum() * coverage.geometry.resolution**2 / 1e4
@@ -257,10 +259,9 @@ def coverage_sheet(canvas: FuelCanvas, coverage: CoverageMap, heading: str = "")
         maps[title] = canvas.scaled(seen.frames, seen.frames > 0, FRAMES)
         known = np.isfinite(seen.footprint)
         maps[f"{name}: smallest ground footprint of a pixel"] = canvas.scaled(seen.footprint, known, FOOTPRINT)
-    return _sheet(maps, heading)
+    return sheet(maps, heading)
 
 
-def _sheet(maps: Mapping[str, RgbImage], heading: str) -> RgbImage:
-    if not maps:
-        raise ImageError("no camera has seen a cell of the fuel map, so there is no coverage to draw")
+def sheet(maps: Mapping[str, RgbImage], heading: str) -> RgbImage:
+    """Return titled maps of one width in two columns under a heading."""
     return panel(list(maps.items()), columns=2, width=next(iter(maps.values())).shape[1], heading=heading)

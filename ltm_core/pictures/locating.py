@@ -10,7 +10,17 @@ from ltm_core.base.types import Float64Array, RgbImage
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.locating.locator import Ellipse, Posterior
 from ltm_core.pictures.legend import INK, PAPER, Text, apart, draw_texts, ramp_legend, with_legend
-from ltm_core.pictures.maps import SHIFT, MapCamera, cells_under, finished, furnished, relief, view_of, view_pixels
+from ltm_core.pictures.maps import (
+    SHIFT,
+    MapCamera,
+    cells_under,
+    finished,
+    furnished,
+    padded,
+    relief,
+    view_of,
+    view_pixels,
+)
 from ltm_core.pictures.photo_overlays import panel, with_axes
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.point_visibility import PointState
@@ -18,6 +28,7 @@ from ltm_core.visibility.point_visibility import PointState
 _WIDTH = 760
 _WHITE = (255, 255, 255)
 _LEAST_VIEW = 300.0  # minimum width in metres of the detail map
+_SQUARE = (0.7, 0.7)  # minimum width and height of a map, as a share of the other
 _ALIKE = 0.5  # share of the whole map's width above which the detail map is left out
 _HEAT = np.array([[255, 238, 160], [253, 174, 72], [226, 74, 51], [128, 8, 60]], np.float64)
 _BLUE = (20, 60, 190)
@@ -41,9 +52,9 @@ def location_picture(
     shows much the same, (H, W, 3); all in the map frame. `ellipses`: with their names, smallest first. `offset`: of the
     map frame, for the axes."""
     dense = posterior.places[posterior.densest(0.99)]
-    close = _padded(np.concatenate([dense, ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW)
+    close = padded(np.concatenate([dense, ellipses[-1][1].outline()]), 0.12, _LEAST_VIEW, _SQUARE)
     places = [close[:2], close[2:], *(camera.position for camera in cameras)]
-    whole = _padded(np.array(places), 0.08, _LEAST_VIEW)
+    whole = padded(np.array(places), 0.08, _LEAST_VIEW, _SQUARE)
     maps = [("Cameras, lines of sight and probability", whole), ("Probability and its ellipses", close)]
     if close[2] - close[0] > _ALIKE * (whole[2] - whole[0]):
         maps = maps[:1]
@@ -95,16 +106,6 @@ def places_picture(photo: RgbImage, places: Sequence[tuple[str, tuple[float, flo
             cv2.circle(picture, centre, (size // 2) << SHIFT, color, width, cv2.LINE_AA, SHIFT)
         labels.append((name, u + size * 0.8, v, "lm"))
     return draw_texts(picture, apart(labels, size, photo.shape[0]), size, INK, halo=PAPER)
-
-
-def _padded(points: Float64Array, share: float, least: float) -> tuple[float, float, float, float]:
-    """Return the bounds of points with a margin, a third as high as wide or more."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    centre, half = (low + high) / 2, (high - low) / 2 * (1 + 2 * share)
-    half = np.maximum(half, least / 2)
-    half = np.maximum(half, half[::-1] * 0.7)
-    x_min, y_min, x_max, y_max = np.concatenate([centre - half, centre + half]).tolist()
-    return x_min, y_min, x_max, y_max
 
 
 def _heated(picture: RgbImage, posterior: Posterior, view: GridGeometry) -> RgbImage:

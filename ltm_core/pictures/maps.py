@@ -126,12 +126,22 @@ def interesting_bounds(
         places += zip(*(v.tolist() for v in geometry.to_map(rows[[0, -1]], cols[[0, -1]])), strict=True)
     if not places:
         return terrain.bounds
-    low, high = np.min(places, axis=0), np.max(places, axis=0)
-    centre, half = (low + high) / 2, np.maximum((high - low) / 2 * 1.08, 10 * geometry.resolution)
-    half = np.maximum(half, half[::-1] * (0.9, 0.5))
-    left, bottom = np.maximum(centre - half, terrain.bounds[:2]).tolist()
-    right, top = np.minimum(centre + half, terrain.bounds[2:]).tolist()
+    around = padded(np.array(places), 0.04, 20 * geometry.resolution, (0.9, 0.5))
+    left, bottom = np.maximum(around[:2], terrain.bounds[:2]).tolist()
+    right, top = np.minimum(around[2:], terrain.bounds[2:]).tolist()
     return (left, bottom, right, top) if right > left and top > bottom else terrain.bounds
+
+
+def padded(
+    points: Float64Array, share: float, least: float = 0.0, thinnest: tuple[float, float] = (0.0, 0.0)
+) -> tuple[float, float, float, float]:
+    """Return the bounds of points (N, 2) with a margin of `share` of their extent, `least` wide and high or more, and
+    their width and height `thinnest` of the other or more."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre, half = (low + high) / 2, np.maximum((high - low) / 2 * (1 + 2 * share), least / 2)
+    half = np.maximum(half, half[::-1] * thinnest)
+    x_min, y_min, x_max, y_max = np.concatenate([centre - half, centre + half]).tolist()
+    return x_min, y_min, x_max, y_max
 
 
 def furnished(

@@ -20,7 +20,7 @@ from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend, with_legend
 from ltm_core.pictures.fuel_maps import FuelCanvas
 from ltm_core.pictures.legend import UNLABELLED, Palette, draw_texts
-from ltm_core.pictures.maps import interesting_bounds
+from ltm_core.pictures.maps import interesting_bounds, padded
 from ltm_core.pictures.photo_overlays import panel
 from ltm_core.pictures.relief import brightness_at
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
@@ -213,7 +213,8 @@ def site_picture(
     """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3). `dem`,
     `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to vote; a
     camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
-    bounds = _around(dem.geometry, cameras)
+    corners = dem.geometry.bounds
+    bounds = padded(np.array([corners[:2], corners[2:], *(camera.position for camera in cameras)]), 0.02)
     reach = 0.14 * (bounds[2] - bounds[0])
     drawn = [replace(camera, reach=reach) for camera in cameras]
     classes, g = np.full((1, 1), UNLABELLED, np.uint8), GridGeometry(bounds[0], bounds[3], 1.0, 1, 1)
@@ -234,12 +235,3 @@ def site_picture(
 
 
 _VIEWS = Palette(("not seen", "seen, too far to vote", "votes: 1 view", "2 views", "3 views or more"), _COVERED)
-
-
-def _around(geometry: GridGeometry, cameras: Sequence[MapCamera]) -> tuple[float, float, float, float]:
-    """Return the bounds of a DEM and of cameras beside it, with a margin."""
-    places = np.array([geometry.bounds[:2], geometry.bounds[2:], *(camera.position for camera in cameras)])
-    low, high = places.min(axis=0), places.max(axis=0)
-    margin = 0.02 * float((high - low).max())
-    x_min, y_min, x_max, y_max = np.concatenate([low - margin, high + margin]).tolist()
-    return x_min, y_min, x_max, y_max

@@ -247,7 +247,8 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
             request = client.build_request("GET", url, headers={"range": f"bytes={start}-"} if start else {})
             for _ in range(10):  # the first answer has the checksum, the last one the file
                 answer = client.send(request, stream=True)
-                digest = digest or _linked(answer.headers.get("x-linked-etag", ""))
+                linked = re.fullmatch(r'"?([0-9a-f]{64})"?', answer.headers.get("x-linked-etag", ""))
+                digest = digest or (linked and linked[1])
                 if answer.next_request is None:
                     break
                 answer.close()
@@ -267,10 +268,6 @@ def download(url: str, target: Path, digest: str | None, progress: Progress = la
         part.unlink()
         raise ModelError(f"{url}: has sha256 {found}, expected {digest}; it was deleted")
     part.replace(target)
-
-
-def _linked(tag: str) -> str | None:
-    return tag.strip('"') if re.fullmatch(r'"?[0-9a-f]{64}"?', tag) else None
 
 
 def _of_file(path: Path) -> Source:

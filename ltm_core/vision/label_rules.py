@@ -54,8 +54,6 @@ _WINDOW = 13  # pixels of the working image
 
 def withdraw(image: UInt8Array, labels: UInt8Array, confidence: UInt8Array, rules: Withdrawal) -> None:
     """Set labels (H, W) that the rules withdraw to 255, and their confidence to 0, in place; `image` (H, W, 3)."""
-    if not rules.any:
-        return
     height, width = labels.shape
     parts = []
     if rules.confidence > 0:

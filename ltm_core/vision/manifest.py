@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -17,8 +17,9 @@ DEFAULT_MODEL: Final = "landscape_v4"  # default segmentation network
 DEFAULT_DEPTH_MODEL: Final = "landscape_v4_depth"  # default depth network: the second output of the same file
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
-DEPTH_KINDS: Final[tuple[str, ...]] = ("relative_inverse", "affine_invariant", "metric")
+DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]
 """Kinds of output with one depth per pixel; the others label pixels."""
+DEPTH_KINDS: Final[tuple[str, ...]] = get_args(DepthKind)
 
 RECORDS: Final = "reliability"  # folder beside manifests with the reliability records of their labels
 FUSION_SUFFIX: Final = "_fusion.yaml"  # suffix of the file beside a manifest with the network's error model
@@ -33,11 +34,6 @@ class Withdrawal(StrictModel):
 
     confidence: float = Field(default=0.0, ge=0, lt=1)
     tree_contrast: float = Field(default=0.0, ge=0)
-
-    @property
-    def any(self) -> bool:
-        """Return whether anything is withdrawn."""
-        return self.confidence > 0 or self.tree_contrast > 0
 
 
 class OutputSpec(StrictModel):
@@ -59,9 +55,7 @@ class OutputSpec(StrictModel):
     network made for one focal length states it in pixels of its input (`canonical_focal_px`). Metres are multiplied by
     the true focal length over the assumed one (Metric3D: 1000; Depth Pro, `inverse`: the input's width)."""
 
-    kind: Literal[
-        "logits", "probabilities", "ids", "masks", "embeddings", "relative_inverse", "affine_invariant", "metric"
-    ]
+    kind: Literal["logits", "probabilities", "ids", "masks", "embeddings", DepthKind]
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     name: str | None = None  # of the graph's output; the first if absent
     temperature: float = Field(default=1.0, gt=0)  # logits are divided by it: fitted so that probabilities hold

@@ -29,14 +29,10 @@ class MaskPolygon(StrictModel):
     """Corners (u, v) in pixels, (0, 0) the centre of the top left pixel."""
 
 
-def _written_as(value: object) -> str:
-    return "polygons" if isinstance(value, list | tuple) else "png"
-
-
 MaskConfig = Annotated[
     Annotated[Path, Tag("png")]
     | Annotated[tuple[MaskPolygon, ...], Field(min_length=1, max_length=MOST_POLYGONS), Tag("polygons")],
-    Discriminator(_written_as),
+    Discriminator(lambda value: "polygons" if isinstance(value, list | tuple) else "png"),
 ]
 """Mask as a single-channel PNG of the image's size beside the site file, in which all but 0 is masked, or as polygons.
 """

@@ -7,7 +7,7 @@ from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from ltm_core.base.errors import ModelError
 from ltm_core.base.strict_model import StrictModel
@@ -53,19 +53,12 @@ class InputSpec(StrictModel):
     channels: Literal["rgb", "bgr"] = "rgb"
     scale: float = Field(default=1.0, gt=0)
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    std: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (1.0, 1.0, 1.0)
     fit: Literal["stretch", "pad", "aspect"] = "stretch"
     multiple: int = Field(default=1, gt=0)
     name: str | None = None  # of the graph's input; needed only if the graph has several
     intrinsics: str | None = None
     constants: dict[str, Constant] = Field(default_factory=dict)
-
-    @field_validator("std")
-    @classmethod
-    def _std_positive(cls, std: tuple[float, float, float]) -> tuple[float, float, float]:
-        if min(std) <= 0:
-            raise ValueError("each value must be above 0")
-        return std
 
     @model_validator(mode="after")
     def _bytes_stay_bytes(self) -> "InputSpec":

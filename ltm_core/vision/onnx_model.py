@@ -101,10 +101,6 @@ class OnnxModel:
         self._options.only_execute_path_to_fetches = True
         loaded.join(self, self._output_name)
 
-    def run(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> npt.NDArray[Any]:
-        """Run the network and return its output tensor; arguments and errors as of `outputs`."""
-        return np.asarray(self.outputs(tensor, matrix)[0])
-
     def outputs(self, tensor: npt.NDArray[Any], matrix: Float64Array | None = None) -> list[npt.NDArray[Any]]:
         """Run the network, and return its output tensor and those that the manifest names beside it, in that order;
         float16 and float64 as float32. `matrix`: (3, 3) camera matrix in pixels of the input, for a manifest that names
@@ -119,8 +115,8 @@ class OnnxModel:
     def run_with_maps(
         self, tensor: npt.NDArray[Any], maps: Sequence[str]
     ) -> tuple[npt.NDArray[Any], list[Float32Array]]:
-        """Run as `run`, with the decoder maps (C, h, w) of these names; other users do not get such outputs. Raises
-        ModelError for other maps."""
+        """Return the output tensor and the decoder maps (C, h, w) of these names; other users do not get such outputs.
+        Raises ModelError for other maps."""
         output, *found = self._shared(tensor, [self._output_name, *maps])
         for name, values in zip(maps, found, strict=True):
             channels = self.manifest.maps.get(name)

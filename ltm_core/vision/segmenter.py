@@ -134,7 +134,7 @@ class Segmenter:
         return Segmentation(labels, confidence)
 
     def _from_ids(self, photo: FittedImage, height: int, width: int) -> Segmentation:
-        output = self._model.run(as_tensor(photo.pixels, self.manifest.input))
+        output = self._model.outputs(as_tensor(photo.pixels, self.manifest.input))[0]
         ids = np.squeeze(output)
         if ids.ndim != 2:
             raise ModelError(f"model {self.manifest.name!r}: ids have shape {output.shape}, expected (1, h, w)")
@@ -151,7 +151,6 @@ class Segmenter:
         the label head, before any temperature, at the network's resolution.
 
         Raises ImageError and ModelError as `segment` does, and ModelError for a network that gives ids."""
-        _check(image)
         if self.manifest.output.kind == "ids":
             raise ModelError(f"model {self.manifest.name!r} outputs class ids; scores need logits or probabilities")
         return self._corrected(image)
@@ -159,10 +158,10 @@ class Segmenter:
     def scores_and_maps(self, image: UInt8Array) -> tuple[Float32Array, dict[str, Float32Array]]:
         """Return the network's own scores (K, h, w), with the manifest's offsets and colours, and all decoder maps (C,
         h', w') of its manifest, on which label heads are trained. Raises as `logits` does."""
-        _check(image)
         return self._run(image, tuple(self.manifest.maps))
 
     def _run(self, image: UInt8Array, names: Sequence[str]) -> tuple[Float32Array, dict[str, Float32Array]]:
+        _check(image)
         spec = self.manifest.input
         photo = fitted(image, spec)
         tensor = as_tensor(photo.pixels, spec)

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.vision.network_image import working_image
 
@@ -77,9 +76,7 @@ class Usability:
 
 def judge(picture: UInt8Array, hidden: BoolArray | None = None, sun_deg: float | None = None) -> Usability:
     """Judge an image (H, W, 3) RGB. `hidden`: (H, W) bool, masked pixels, which are ignored; None: none. `sun_deg`: the
-    sun's elevation, degrees; None: unknown. Raises ImageError for another shape."""
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.size == 0:
-        raise ImageError(f"the image has shape {picture.shape}, expected (H, W, 3) RGB")
+    sun's elevation, degrees; None: unknown."""
     small = working_image(picture)
     size = small.shape[1], small.shape[0]
     levels = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)

@@ -11,13 +11,14 @@ from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.depth.expected_surface import FusionSettings
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
-from ltm_core.depth.monocular import DepthKind, NetworkDepth
+from ltm_core.depth.monocular import NetworkDepth
 from ltm_core.depth.topodepth import FusedDepth, fuse
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.scoring.labels import DepthScore, DepthTally, at_pixels_of
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
+from ltm_core.vision.manifest import DepthKind
 from ltm_lab.frames.truth_frames_io import TruthFrame
 
 BEYOND = "beyond 100 m"

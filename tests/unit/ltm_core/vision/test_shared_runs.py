@@ -88,13 +88,13 @@ def test_labels_and_depth_of_one_file_are_the_same_alone_and_shared(
     depth = NetworkManifest.load(path)
     tensor = np.random.default_rng(3).normal(0, 1, labels.input.shape).astype(np.float32)
     # With as many threads as no other test of this process: whoever has the file open is computed for, too.
-    alone = OnnxModel(labels, 3).run(tensor), OnnxModel(depth, 3).run(tensor)
+    alone = [OnnxModel(each, 3).outputs(tensor)[0] for each in (labels, depth)]
     runs: list[list[str]] = []
     run = OnnxModel._run
     monkeypatch.setattr(OnnxModel, "_run", lambda own, names, feed: runs.append(names) or run(own, names, feed))
     first, second = OnnxModel(labels, 3), OnnxModel(depth, 3)
-    np.testing.assert_array_equal(first.run(tensor), alone[0])
-    np.testing.assert_array_equal(second.run(tensor.copy()), alone[1])
+    np.testing.assert_array_equal(first.outputs(tensor)[0], alone[0])
+    np.testing.assert_array_equal(second.outputs(tensor.copy())[0], alone[1])
     assert runs == [["logits", "inverse_depth"]]
 
 
