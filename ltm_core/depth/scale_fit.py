@@ -130,9 +130,9 @@ def fit_scale(network: NetworkDepth, samples: GroundSamples, size: tuple[int, in
         return _unusable(network, line, f"the network's depth explains only {explained:.0%} of the terrain's")
     model = estimate_errors(read, samples, size, config)
     # Ground seldom vanishes, so what is farther than the terrain is an error; what is nearer may be plants as well.
-    at = octaves(samples.depth)
-    off = 1.0 - read * samples.depth - model.shift[at]
-    joint = off / np.hypot(model.factor[at], samples.sigma / samples.depth)  # in sigmas of network and terrain
+    near = octaves(samples.depth)
+    off = 1.0 - read * samples.depth - model.shift[near]
+    joint = off / np.hypot(model.factor[near], samples.sigma / samples.depth)  # in sigmas of network and terrain
     joint = joint[np.isfinite(joint)]
     gross = float(np.mean(joint > rules.gross_sigmas) + rules.covered_gross * np.mean(joint < -rules.gross_sigmas))
     gross = max(gross, rules.least_gross, min(line.sigma, rules.noisy_gross))

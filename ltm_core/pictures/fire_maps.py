@@ -25,14 +25,15 @@ FLAME: Final = Scale(
 )  # fmt: skip
 """Limits of 4, 8 and 11 feet: the hauling chart (Rothermel 1983; NWCG). Longer flames are redder and darker."""
 _SOON: Final = 5 / 60  # hours within which two arrivals count as equal; the model's steps are minutes
+_DIVERGING: Final = (
+    *((122, 4, 3), (214, 84, 50), (244, 165, 120), (226, 216, 176), (146, 197, 222), (50, 120, 190), (20, 40, 110)),
+)
 DIFFERENCE: Final = Scale(
     (
         "burns only with the updated map", "earlier by 1 h and more", "earlier by 5 min to 1 h", "the same to 5 min",
         "later by 5 min to 1 h", "later by 1 h and more", "burns only with the previous map",
     ),
-    (
-        (122, 4, 3), (214, 84, 50), (244, 165, 120), (226, 216, 176), (146, 197, 222), (50, 120, 190), (20, 40, 110),
-    ),
+    _DIVERGING,
     (0.5, 1.5, 2.5, 3.5, 4.5, 5.5),
 )  # fmt: skip
 FLAME_DIFFERENCE: Final = Scale(
@@ -40,9 +41,7 @@ FLAME_DIFFERENCE: Final = Scale(
         "shorter by 2.4 m and more", "shorter by 1.2 to 2.4 m", "shorter by 0.3 to 1.2 m", "the same to 0.3 m",
         "longer by 0.3 to 1.2 m", "longer by 1.2 to 2.4 m", "longer by 2.4 m and more",
     ),
-    (
-        (20, 40, 110), (50, 120, 190), (146, 197, 222), (226, 216, 176), (244, 165, 120), (214, 84, 50), (122, 4, 3),
-    ),
+    _DIVERGING[::-1],
     (-2.4, -1.2, -0.3, 0.3, 1.2, 2.4),
 )  # fmt: skip
 

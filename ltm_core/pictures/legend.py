@@ -117,10 +117,6 @@ class RangeScale:
     near: float = 30.0
     far: float = 30_000.0
 
-    def __post_init__(self) -> None:
-        if not (0 < self.near < self.far < math.inf):
-            raise ImageError(f"colour scale needs 0 < near < far metres, got near={self.near}, far={self.far}")
-
     @classmethod
     def of(cls, ranges: ArrayLike) -> "RangeScale":
         """Return the scale of the 0.5th to 99.5th percentile of finite ranges, rounded outwards to 1, 2 or 5."""
@@ -255,12 +251,13 @@ def _paper(height: int, width: int) -> RgbImage:
 
 
 _UNKNOWN = (190, 192, 196)
+_ERRORS = RangeScale(0.3, 300.0)
 
 
 def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
     """Return |estimate - truth| (H, W) in metres as colours (H, W, 3): dark small, bright large; sky if both are sky,
     grey if only one has a depth."""
-    scale = RangeScale(0.3, 300.0)
+    scale = _ERRORS
     a, b = np.asarray(estimate, np.float32), np.asarray(truth, np.float32)
     known = np.isfinite(a) & np.isfinite(b)
     size = np.abs(np.where(known, a, 0) - np.where(known, b, 0))
@@ -273,6 +270,5 @@ def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
 
 def error_legend(width: int) -> RgbImage:
     """Return the colour scale with its ticks and what is not on it, (h, `width`, 3): as high as that of ranges."""
-    scale, ticks = RangeScale(0.3, 300.0), (0.3, 1, 3, 10, 30, 100, 300)
-    places = [(metres(tick), float(scale.fraction(tick))) for tick in ticks]
+    places = [(metres(tick), float(_ERRORS.fraction(tick))) for tick in (0.3, 1, 3, 10, 30, 100, 300)]
     return ramp_legend(width, color_map(cv2.COLORMAP_INFERNO), places, [("in one only", _UNKNOWN), ("sky", SKY_COLOR)])

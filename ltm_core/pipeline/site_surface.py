@@ -115,10 +115,7 @@ class SiteTerrain:
         labels = LabelSet.load(config_path(site.labels))
         self._stable = np.zeros(256, np.bool_)
         self._stable[[labels.id_of(name) for name in STABLE_CLASSES]] = True
-        bare = site.open_dem()
-        surface = site.open_surface(bare) if site.surface is not None else None
-        reference = Reference.of(bare, surface, site.terrain.resolution)
-        del bare, surface
+        reference = _reference(site, site.terrain.resolution)
         self.store = open_store(schema_of(site.in_crs(reference.geometry)))
         self.map = SurfaceMap(
             reference,
@@ -150,6 +147,11 @@ class SiteTerrain:
         return self.map.add(frame)
 
 
+def _reference(site: Site, resolution: float | None) -> Reference:
+    bare = site.open_dem()
+    return Reference.of(bare, None if site.surface is None else site.open_surface(bare), resolution)
+
+
 STORE_FILE: Final = "terrain.sqlite"
 """Name of a site's store in the folder of its terrain node."""
 
@@ -162,9 +164,7 @@ def open_stored_surface(path: Path, site: Site) -> SurfaceMap:
         raise ConfigError(f"site {site.name} has no section `terrain`; use the site file that created {path}")
     if not is_file(path):
         raise ConfigError(f"{path}: no such file; the terrain store is terrain.sqlite in the folder of the map")
-    bare = site.open_dem()
-    surface = site.open_surface(bare) if site.surface is not None else None
-    reference = Reference.of(bare, surface, site.terrain.resolution)
+    reference = _reference(site, site.terrain.resolution)
     store = TileStore.open_read_only(path, KIND)
     if differences := schema_of(site.in_crs(reference.geometry)).differences(store.schema):
         store.close()

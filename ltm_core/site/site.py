@@ -223,7 +223,7 @@ class Site(StrictModel):
         snapped = GridGeometry.snapped(
             (x_min + x, y_min + y, x_max + x, y_max + y), self.fuel.resolution, self.fuel.phase
         )
-        return snapped.translated(-x, -y)
+        return self.in_map(snapped)
 
     def in_crs(self, geometry: GridGeometry) -> GridGeometry:
         """Return a raster of the map frame as a raster of the site's CRS, for files."""

@@ -14,7 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from ltm_core.base.errors import ModelError
 from ltm_core.vision.labels import LabelSet
-from ltm_core.vision.manifest import NetworkManifest
+from ltm_core.vision.manifest import NetworkManifest, Withdrawal
 from ltm_lab.training.config import NetworkConfig, TrainingConfig
 from ltm_lab.training.decoder_maps import with_decoder_maps
 from ltm_lab.training.landscape_network import Deployed, LandscapeNetwork, for_inference
@@ -148,7 +148,7 @@ def _manifest(file: Path, config: TrainingConfig, labels: LabelSet) -> dict[str,
         "output": {"name": "logits", "kind": "logits", "layout": "NCHW"}
         | ({"offsets": config.offsets} if config.offsets else {})
         | ({"redness": config.redness} if config.redness else {})
-        | ({"withdraw": config.withdraw.model_dump()} if config.withdraw.any else {}),
+        | ({"withdraw": config.withdraw.model_dump()} if config.withdraw != Withdrawal() else {}),
         "classes": list(labels.names),
         "mapping": {name: name for name in labels.names},
         **({"heads_of": config.heads_of} if config.heads_of else {}),
