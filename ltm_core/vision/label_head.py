@@ -39,11 +39,6 @@ class LabelHead:
     withdraw: Withdrawal = field(default_factory=Withdrawal)
     agreement: LabelAgreement = field(default_factory=LabelAgreement)
 
-    @property
-    def maps(self) -> tuple[str, ...]:
-        """Return the names of the maps that it reads."""
-        return tuple(self.weights)
-
     def add_to(self, scores: Float32Array, maps: Sequence[Float32Array]) -> None:
         """Correct scores (K, h, w) in place by maps (C, h', w') in the order of `maps`. Raises ModelError."""
         scores += self.bias[:, None, None]

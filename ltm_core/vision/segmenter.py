@@ -174,7 +174,7 @@ class Segmenter:
 
     def _corrected(self, image: UInt8Array) -> Float32Array:
         """Return the network's scores (K, h, w) of a photo, corrected by the head if there is one."""
-        scores, maps = self._run(image, () if self.head is None else self.head.maps)
+        scores, maps = self._run(image, () if self.head is None else tuple(self.head.weights))
         if self.head is not None:
             self.head.add_to(scores, list(maps.values()))
         return scores

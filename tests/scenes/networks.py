@@ -138,38 +138,27 @@ def write_depth_network(
     kind: str = "relative_inverse",
     values: str = "green",
     two_heads: bool = False,
-    intrinsics: bool = False,
-    **manifest_changes: Any,
 ) -> Path:
     """Write `depth.onnx` and its manifest; gives the manifest's path.
 
-    `values`: "green": the photo's green channel / 255 at full size; "constant": 0.5 everywhere; "nan"; "negative":
-    green / 255 - 2. `two_heads`: a second output, `scores`, of five labels. `intrinsics`: a second input `K`, whose fx
-    the output is multiplied with.
+    `values`: "green": the photo's green channel / 255 at full size; "nan"; "negative": green / 255 - 2. `two_heads`: a
+    second output, `scores`, of five labels.
     """
     pick = np.array([0.0, 1.0, 0.0], np.float32).reshape(1, 3, 1, 1)
-    factor = {"green": 1.0, "constant": 0.0, "nan": np.nan, "negative": 1.0}[values]
-    offset = {"green": 0.0, "constant": 0.5, "nan": 0.0, "negative": -2.0}[values]
+    factor, offset = {"green": (1.0, 0.0), "nan": (np.nan, 0.0), "negative": (1.0, -2.0)}[values]
     constants = [
         numpy_helper.from_array(pick * np.float32(factor), "pick"),
         numpy_helper.from_array(np.array([offset], np.float32), "offset"),
     ]
     image = helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, HEIGHT, WIDTH])
-    inputs, plain = [image], "plain" if intrinsics else "depth"
-    nodes = [helper.make_node("Conv", ["image", "pick", "offset"], [plain])]
-    if intrinsics:
-        inputs.append(helper.make_tensor_value_info("K", TensorProto.FLOAT, [1, 3, 3]))
-        for name, numbers in (("starts", [0, 0]), ("ends", [1, 1]), ("axes", [1, 2])):
-            constants.append(numpy_helper.from_array(np.array(numbers, np.int64), name))
-        nodes.append(helper.make_node("Slice", ["K", "starts", "ends", "axes"], ["fx"]))
-        nodes.append(helper.make_node("Mul", ["plain", "fx"], ["depth"]))
+    nodes = [helper.make_node("Conv", ["image", "pick", "offset"], ["depth"])]
     outputs = [helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 1, HEIGHT, WIDTH])]
     if two_heads:
         colors = np.array(list(COLORS.values()), np.float32)[..., None, None] / 255.0
         constants.append(numpy_helper.from_array(colors, "colors"))
         nodes.append(helper.make_node("Conv", ["image", "colors"], ["scores"]))
         outputs.insert(0, helper.make_tensor_value_info("scores", TensorProto.FLOAT, [1, len(COLORS), HEIGHT, WIDTH]))
-    graph = helper.make_graph(nodes, "depth", inputs, outputs, constants)
+    graph = helper.make_graph(nodes, "depth", [image], outputs, constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     onnx.checker.check_model(model)
     (folder / "depth.onnx").write_bytes(model.SerializeToString())
@@ -182,6 +171,4 @@ def write_depth_network(
         "licence": "Apache-2.0",
         "card": "a colour channel as depth, for tests",
     }
-    if intrinsics:
-        content["input"] |= {"name": "image", "intrinsics": "K"}  # type: ignore[operator]
-    return write_manifest(folder / "depth.yaml", {**content, **manifest_changes})
+    return write_manifest(folder / "depth.yaml", content)

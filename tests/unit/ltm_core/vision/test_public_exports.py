@@ -301,6 +301,13 @@ def test_metres_follow_the_focal_length_that_the_network_assumed(
     np.testing.assert_allclose(values, 2.0 * (48 / 320 * 300) / assumed, rtol=1e-5)
 
 
+def test_metres_follow_the_focal_length_that_a_network_was_made_for(tmp_path: Path) -> None:
+    options = "normalise=unit", "output.kind=metric", "output.canonical_focal_px=10"
+    added(_depth_graph(tmp_path / "net.onnx"), *options, name="net")
+    values = DepthNetwork.open("net").predict(np.full((180, 320, 3), 102, np.uint8), CAMERA).values
+    np.testing.assert_allclose(values, 1.4 * FX / 10, rtol=1e-5)
+
+
 @pytest.mark.parametrize("changes", [{"points": True}, {"double": True}, {"rank": False}])
 def test_other_forms_of_a_depth_output_run(tmp_path: Path, changes: dict[str, Any]) -> None:
     added(_depth_graph(tmp_path / "net.onnx", **changes), "normalise=unit", "output.kind=metric", name="net")
