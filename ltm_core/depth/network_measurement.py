@@ -1,5 +1,6 @@
 """Depth measured by a network alone, with its uncertainty, to detect changes of the terrain: fused depth follows it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from ltm_core.depth.error_model import ErrorModel, invert
 from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.pixel_fusion import DecisionRules, elsewhere
 from ltm_core.depth.scale_fit import ScaleFit
+from ltm_core.depth.unseen_terrain import hidden_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,25 +22,20 @@ class NetworkMeasurement:
     depth: Float32Array
     sigma: Float32Array
 
-    @classmethod
-    def of(cls, fit: ScaleFit, config: FusionConfig) -> "NetworkMeasurement":
-        """Return the measurement of a usable fit. A pixel may not show the ground on which the network was fitted, so
-        sigma is that of objects in front of it."""
-        depth, sigma = np.empty_like(fit.inverse), np.empty_like(fit.inverse)
+
+def measured(fit: ScaleFit | None, config: FusionConfig, unseen: Sequence[BoolArray]) -> NetworkMeasurement:
+    """Return the measurement of a usable fit, empty without one. A pixel may not show the ground on which the network
+    was fitted, so sigma is that of objects in front of it. `unseen`: pixels that do not show the terrain, at any size,
+    edge to edge."""
+    depth = np.full((1, 1) if fit is None else fit.inverse.shape, np.nan, np.float32)
+    sigma = depth.copy()
+    if fit is not None:
         seen, sure = (fit.inverse, fit.nearest, fit.farthest), np.float32(config.decision.measured)
         _measure(seen, fit.error_model, DecisionRules.of(config.decision), sure, depth, sigma)
-        return cls(depth, sigma)
-
-    def without(self, hidden: BoolArray) -> "NetworkMeasurement":
-        """Return a copy without the pixels (h, w) that do not show the terrain."""
-        nothing = np.float32(np.nan)
-        return NetworkMeasurement(np.where(hidden, nothing, self.depth), np.where(hidden, nothing, self.sigma))
-
-    @classmethod
-    def none(cls) -> "NetworkMeasurement":
-        """Return the empty measurement."""
-        nothing = np.full((1, 1), np.nan, np.float32)
-        return cls(nothing, nothing)
+    for hidden in unseen:
+        gone = hidden_at(hidden, *depth.shape)
+        depth[gone] = sigma[gone] = np.nan
+    return NetworkMeasurement(depth, sigma)
 
 
 @kernel(nogil=True)

@@ -19,7 +19,7 @@ from ltm_core.depth.fusion_config import FusionConfig
 from ltm_core.depth.ground_sampling import ClassPriors
 from ltm_core.depth.guided_upsampling import NetworkView
 from ltm_core.depth.monocular import NetworkDepth
-from ltm_core.depth.network_measurement import NetworkMeasurement
+from ltm_core.depth.network_measurement import NetworkMeasurement, measured
 from ltm_core.depth.occlusion_boundaries import refine_occlusion_boundaries
 from ltm_core.depth.occlusion_prior import OcclusionPrior
 from ltm_core.depth.pixel_fusion import fuse_pixels
@@ -83,13 +83,8 @@ class FusionOutcome:
     def measured(self, doubtful: BoolArray | None = None) -> NetworkMeasurement:
         """Return the network's measurement alone: empty if the network or the pose is unreliable; without pixels that
         do not show the terrain or show too little (`doubtful`, bool of any size, edge to edge)."""
-        if self.fit is None or self.verdict not in (FusionVerdict.OK, FusionVerdict.MOSTLY_UNKNOWN):
-            return NetworkMeasurement.none()
-        found = NetworkMeasurement.of(self.fit, self.config)
-        for unseen in (self.hidden, doubtful):
-            if unseen is not None:
-                found = found.without(hidden_at(unseen, *found.depth.shape))
-        return found
+        fit = self.fit if self.verdict in (FusionVerdict.OK, FusionVerdict.MOSTLY_UNKNOWN) else None
+        return measured(fit, self.config, [mask for mask in (self.hidden, doubtful) if mask is not None])
 
     def network_depth(self) -> Float32Array | None:
         """Return the network's depth (h, w) in metres at its own size, NaN where the terrain is hidden; None if it does
@@ -149,11 +144,6 @@ class Fusion:
     config: FusionConfig = field(default_factory=FusionConfig)
     hidden: BoolArray | None = None
     unusable: str = ""
-
-    @property
-    def settled(self) -> bool:
-        """Return whether `outcome` is known without another fit."""
-        return self._refused is not None or "_fitted" in self.__dict__
 
     @cached_property
     def outcome(self) -> FusionOutcome:

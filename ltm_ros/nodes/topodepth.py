@@ -100,7 +100,7 @@ class TopoDepthHandler(JoiningHandler[TopoDepthConfig]):
             return fused
 
         self._publish(found, stamp)
-        fused_anyway = found.cache_info().currsize and found().fusion.settled
+        fused_anyway = found.cache_info().currsize > 0
         if fused_anyway or not 0 <= stamp - self._stated_ns < STATED_EVERY_NS:
             outcome = found().fusion.outcome
             self._state(outcome)
