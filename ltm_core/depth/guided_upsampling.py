@@ -13,6 +13,7 @@ from ltm_core.base.types import Float32Array, Int32Array, UInt8Array
 from ltm_core.depth.error_model import ErrorModel
 from ltm_core.depth.fusion_config import FusionConfig, UpsamplingConfig
 from ltm_core.depth.scale_fit import ScaleFit
+from ltm_core.vision.resampling import neighbours
 
 
 def guided_coefficients(
@@ -56,11 +57,9 @@ class NetworkView(NamedTuple):
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         gain, offset = guided_coefficients(fit.inverse, grey, config.upsampling)
         cells = np.stack([gain, offset, fit.nearest, fit.farthest])
-        width = cells.shape[2]
-        at = (np.arange(grey.shape[1]) + 0.5) * (width / grey.shape[1]) - 0.5
-        columns = np.clip(np.floor(at), 0, width - 2).astype(np.int32)
-        parts = np.clip(at - columns, 0, 1).astype(np.float32)
-        return cls(cells, grey, columns, parts, fit.error_model, np.float32(fit.gross), True)
+        return cls(
+            cells, grey, *neighbours(cells.shape[2], grey.shape[1]), fit.error_model, np.float32(fit.gross), True
+        )
 
     @classmethod
     def none(cls) -> "NetworkView":

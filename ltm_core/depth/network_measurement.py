@@ -33,7 +33,7 @@ def measured(fit: ScaleFit | None, config: FusionConfig, unseen: Sequence[BoolAr
         seen, sure = (fit.inverse, fit.nearest, fit.farthest), np.float32(config.decision.measured)
         _measure(seen, fit.error_model, DecisionRules.of(config.decision), sure, depth, sigma)
     for hidden in unseen:
-        gone = hidden_at(hidden, *depth.shape)
+        gone = hidden_at(hidden, depth.shape[0], depth.shape[1])
         depth[gone] = sigma[gone] = np.nan
     return NetworkMeasurement(depth, sigma)
 

@@ -19,7 +19,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend, with_legend
 from ltm_core.pictures.fuel_maps import FuelCanvas
-from ltm_core.pictures.legend import UNLABELLED, Palette, draw_texts
+from ltm_core.pictures.legend import UNKNOWN_COLOR, UNLABELLED, Palette, draw_texts
 from ltm_core.pictures.maps import interesting_bounds, padded
 from ltm_core.pictures.photo_overlays import panel
 from ltm_core.pictures.relief import brightness_at
@@ -99,7 +99,6 @@ def _pixels(
 
 
 _SKY_TOP, _SKY_HORIZON = (150, 186, 220), (228, 236, 242)
-_UNKNOWN = (70, 70, 74)
 _SKYLINE = (255, 255, 255)
 _SEEN = Palette(("seen",), ((225, 87, 20),))
 _WIDEST_TRACE = 2200
@@ -139,7 +138,7 @@ def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     """Return the traced terrain (H, W, 3) as a camera would see it, grey under the relief's lights and a plain sky."""
     fade = np.linspace(0, 1, len(traced.range))[:, None, None]
     picture = np.tile((1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (1, traced.range.shape[1], 1))
-    picture[np.isnan(traced.range)] = _UNKNOWN
+    picture[np.isnan(traced.range)] = UNKNOWN_COLOR
     known = np.isfinite(traced.range)
     points = traced.points()[known]
     light = brightness_at(dem, points[:, 0], points[:, 1])

@@ -17,8 +17,8 @@ def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tu
     centres at half-integers, as in `cv2.resize`). Returns (H, W) uint8 indices into K, the lower one on a tie, and
     (H, W) uint8 probability x 255, rounded. One pass, no (K, H, W) array in between."""
     _, rows, cols = probabilities.shape
-    row_below, row_weight = _neighbours(rows, height)
-    col_right, col_weight = _neighbours(cols, width)
+    row_below, row_weight = neighbours(rows, height)
+    col_right, col_weight = neighbours(cols, width)
     winner = np.empty((height, width), dtype=np.uint8)
     confidence = np.empty((height, width), dtype=np.uint8)
     planes = np.ascontiguousarray(probabilities, dtype=np.float32)
@@ -26,7 +26,7 @@ def upsampled_winner(probabilities: Float32Array, height: int, width: int) -> tu
     return winner, confidence
 
 
-def _neighbours(size: int, target: int) -> tuple[Int32Array, Float32Array]:
+def neighbours(size: int, target: int) -> tuple[Int32Array, Float32Array]:
     """Return the first of the two source samples of each of `target` samples, and the weight of the second."""
     centre = (np.arange(target) + 0.5) * (size / target) - 0.5
     centre = np.clip(centre, 0.0, size - 1.0)
