@@ -57,9 +57,8 @@ class NetworkView(NamedTuple):
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         gain, offset = guided_coefficients(fit.inverse, grey, config.upsampling)
         cells = np.stack([gain, offset, fit.nearest, fit.farthest])
-        return cls(
-            cells, grey, *neighbours(cells.shape[2], grey.shape[1]), fit.error_model, np.float32(fit.gross), True
-        )
+        columns, parts = neighbours(cells.shape[2], grey.shape[1])
+        return cls(cells, grey, columns, parts, fit.error_model, np.float32(fit.gross), True)
 
     @classmethod
     def none(cls) -> "NetworkView":
