@@ -27,13 +27,13 @@ def measured(fit: ScaleFit | None, config: FusionConfig, unseen: Sequence[BoolAr
     """Return the measurement of a usable fit, empty without one. A pixel may not show the ground on which the network
     was fitted, so sigma is that of objects in front of it. `unseen`: pixels that do not show the terrain, at any size,
     edge to edge."""
-    depth = np.full((1, 1) if fit is None else fit.inverse.shape, np.nan, np.float32)
-    sigma = depth.copy()
+    height, width = (1, 1) if fit is None else fit.inverse.shape
+    depth, sigma = (np.full((height, width), np.nan, np.float32) for _ in range(2))
     if fit is not None:
         seen, sure = (fit.inverse, fit.nearest, fit.farthest), np.float32(config.decision.measured)
         _measure(seen, fit.error_model, DecisionRules.of(config.decision), sure, depth, sigma)
     for hidden in unseen:
-        gone = hidden_at(hidden, depth.shape[0], depth.shape[1])
+        gone = hidden_at(hidden, height, width)
         depth[gone] = sigma[gone] = np.nan
     return NetworkMeasurement(depth, sigma)
 
