@@ -17,7 +17,7 @@ import numpy.typing as npt
 from ltm_core.base.errors import ConfigError, ModelError
 from ltm_core.base.types import Float32Array
 from ltm_core.storage.disk_io import written_whole
-from ltm_core.vision.labels import UNLABELLED, LabelSet
+from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
 from ltm_core.vision.onnx_file import NetworkFile, file_digest
 from ltm_core.vision.onnx_model import open_session
@@ -27,23 +27,8 @@ OTHER: Final = "other"  # key of negative prompts: pixels that show one of them 
 _MOST_TOKENS: Final = 77  # length of CLIP's texts, for graphs that take any length
 _LONGEST: Final = 200
 
-_COLORS = (
-    *((250, 235, 95), (196, 128, 25), (30, 90, 45), (152, 150, 148), (50, 120, 225), (125, 45, 105), (190, 230, 255)),
-    *((90, 180, 170), (240, 150, 180), (110, 110, 40), (60, 60, 120), (205, 50, 60)),
-)
-"""Colours of the classes of a user's own words; the first are those of `config/labels.yaml`."""
-
 Prompts = Mapping[str, Sequence[str]]
 _Groups = Mapping[str, tuple[str, ...]]
-
-
-def labels_of_prompts(text: str) -> LabelSet:
-    """Return a label set of comma-separated prompts, each of which is a label. Raises ConfigError for none."""
-    words = tuple(dict.fromkeys(" ".join(part.lower().split()) for part in text.split(",") if part.strip()))
-    if not 0 < len(words) < UNLABELLED:
-        raise ConfigError(f'classes {text!r}: expected words separated by commas, such as "dry grass, chaparral, oak"')
-    colors = tuple(_COLORS[place % len(_COLORS)] for place in range(len(words)))
-    return LabelSet(words, colors, tuple(word != "sky" for word in words))
 
 
 def prompted(manifest: NetworkManifest, prompts: Prompts, labels: LabelSet, shown: str = "") -> NetworkManifest:

@@ -23,7 +23,6 @@ from ltm_core.vision.install_io import RecipeFile, install, source_of, stated_by
 from ltm_core.vision.manifest import DEFAULT_MODEL, SHIPPED_LABEL_HEAD, NetworkManifest, installed_names
 from ltm_core.vision.onnx_model import OnnxModel
 from ltm_core.vision.overlays import scene_of
-from ltm_core.vision.prompts import labels_of_prompts, prompted
 from ltm_core.vision.recognition import recognise
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli.output import Row, print_table, progress_bar, say, working
@@ -43,7 +42,6 @@ def models(
     site: Annotated[Path | None, Option(help="Site file with a prior fuel map (measure).")] = None,
     photos: Annotated[Path | None, Option(help="Folder of labelled photos (measure).")] = None,
     images: Annotated[Path | None, Option(help="Photo or folder of photos to run on (check, add).")] = None,
-    classes: Annotated[str | None, Option(help='Prompts of a text network: "dry grass, chaparral" (check).')] = None,
     out: Annotated[Path, Option(help="Folder for images (check, add).")] = Path("out/models"),
     named: Annotated[str, Option("--name", help="Name of the model; default: that of its file (add).")] = "",
     stated: Annotated[list[str] | None, Option("--set", help="Key of the manifest: output.kind=metric (add).")] = None,
@@ -58,7 +56,7 @@ def models(
         return
     require_folder(out)
     if action == "check":
-        _check(NetworkManifest.find(name or DEFAULT_MODEL), images, out, classes)
+        _check(NetworkManifest.find(name or DEFAULT_MODEL), images, out)
         return
     if name is None:
         raise ConfigError("give the network to add: ltm models add model.onnx (or its folder, a manifest, or a recipe)")
@@ -118,19 +116,14 @@ def _list() -> None:
     print_table("", ("recipe", "file", "licence", "page"), ways)
 
 
-def _check(manifest: NetworkManifest, images: Path | None, out: Path, classes: str | None = None) -> None:
-    """Print the model's input, output and running time; write images.
-
-    With `classes`, comma-separated prompts replace the model's classes. Without `images`, a drawn scene is used."""
+def _check(manifest: NetworkManifest, images: Path | None, out: Path) -> None:
+    """Print the model's input, output and running time; write images. Without `images`, a drawn scene is used."""
     photos = [(path, scene_of(read_rgb(path))) for path in photos_in(images)] if images is not None else []
     spec, kind = manifest.input, manifest.output.kind
     say(f"{manifest.name}: {manifest.model_file()}; sha256 {manifest.sha256[:12]}...")
     say(f"input {spec.layout} {spec.dtype} {spec.shape} {spec.fit}; output {kind}")
-    labels = None if classes is None else labels_of_prompts(classes)
-    if manifest.output.is_depth:
-        run = partial(_depth, DepthNetwork(manifest))
-    else:
-        run = partial(_labels, Segmenter(manifest if labels is None else prompted(manifest, {}, labels), 1, labels))
+    depth = manifest.output.is_depth
+    run = partial(_depth, DepthNetwork(manifest)) if depth else partial(_labels, Segmenter(manifest))
     for path, photo in photos or [(Path("trial_scene"), _trial_scene())]:
         run(photo)  # loads the network
         start = time.perf_counter()

@@ -7,9 +7,10 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from scenes.networks import write_manifest
 
-from ltm_core.base.errors import ConfigError, ModelError
+from ltm_core.base.errors import ModelError
+from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import NetworkManifest
-from ltm_core.vision.prompts import labels_of_prompts, prompted
+from ltm_core.vision.prompts import prompted
 from ltm_core.vision.segmenter import Segmenter
 from ltm_core.vision.vocabulary import labels_of_classes
 
@@ -75,8 +76,7 @@ def test_pixels_take_the_word_whose_embedding_is_nearest(tmp_path: Path) -> None
 def test_only_the_queried_words_compete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     manifest = NetworkManifest.load(_write_embedder(tmp_path))
-    labels = labels_of_prompts(" Oak, dry  grass, oak")
-    assert labels.names == ("oak", "dry grass")
+    labels = LabelSet(("oak", "dry grass"), ((0, 90, 0), (200, 200, 0)), (True, True))
     segmenter = Segmenter(prompted(manifest, {}, labels), labels=labels)
     photo = np.random.default_rng(2).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     expected = _expected(tmp_path, photo, ("oak", "dry grass"))
@@ -84,9 +84,7 @@ def test_only_the_queried_words_compete(tmp_path: Path, monkeypatch: pytest.Monk
     np.testing.assert_array_equal(result.labels, expected.argmax(axis=0))
     np.testing.assert_allclose(result.confidence, expected.max(axis=0) * 255, atol=0.6)
     with pytest.raises(ModelError, match="chapparal"):
-        prompted(manifest, {}, labels_of_prompts("chapparal"))
-    with pytest.raises(ConfigError, match="commas"):
-        labels_of_prompts(" , ")
+        prompted(manifest, {"oak": ("chapparal",)}, labels)
 
 
 @pytest.mark.parametrize(
