@@ -77,14 +77,11 @@ class MountWatch:
         was clear. Raises PoseError for a camera beside the DEM or under its ground."""
         if self.state is MountState.HELD:
             return self._track(evidence, self.correction.applied(stated, covariance)[0])
-        return self._gather(evidence, self._prior(stated, covariance))
-
-    def _prior(self, stated: Pose, covariance: Float64Array) -> PosePrior:
-        if self.state is not MountState.SLIPPED:
-            return PosePrior.of_covariance(stated, covariance)
-        # The place stays, whatever has turned the camera.
-        sigma = self._config.slip_sigma_deg
-        return PosePrior(self.correction.applied(stated, covariance)[0], sigma, sigma, sigma)
+        prior = PosePrior.of_covariance(stated, covariance)
+        if self.state is MountState.SLIPPED:  # the place stays, whatever has turned the camera
+            sigma = self._config.slip_sigma_deg
+            prior = PosePrior(self.correction.applied(stated, covariance)[0], sigma, sigma, sigma)
+        return self._gather(evidence, prior)
 
     def _gather(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
         search = self._find(evidence, prior)
@@ -170,19 +167,15 @@ class MountWatch:
         sigmas = np.sqrt(np.diag(slopes @ (found.covariance[3:6, 3:6] + self.correction.angles_at(pose)) @ slopes.T))
         limits = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * sigmas
         self._tracked.append(off if (np.abs(off) > limits).any() else None)
-        self._judge()
+        elsewhere = [turn for turn in self._tracked if turn is not None]
+        if len(elsewhere) >= self._config.slipped:
+            self.slips += 1
+            reason = (
+                f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
+                f"{_turn(elsewhere, 2)}"
+            )
+            self.become(MountState.SLIPPED, self._nowhere(), reason)
         return True
-
-    def _judge(self) -> None:
-        elsewhere = [off for off in self._tracked if off is not None]
-        if len(elsewhere) < self._config.slipped:
-            return
-        self.slips += 1
-        reason = (
-            f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
-            f"{_turn(elsewhere, 2)}"
-        )
-        self.become(MountState.SLIPPED, self._nowhere(), reason)
 
     def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
         return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior)[0])

@@ -29,7 +29,6 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     mean_of_both,
     merged_with_others,
     search_reach,
-    widened_by_others,
 )
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
@@ -115,7 +114,7 @@ def find_pose(
     result = judged(found, False)
     if not found or _asks_ridges(result, config.verdict):
         by_ridges = terrain.above(search_ridges(problem))
-        alone = judged(widened_by_others(by_ridges, config.verdict), True)
+        alone = judged(merged_with_others(by_ridges, config.verdict, by_ridges=True), True)
         both = mean_of_both(found[0], alone.hypotheses[0], config.verdict) if found and by_ridges else None
         mean = terrain.above([both]) if both is not None else []
         together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
@@ -18,7 +19,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import (
 from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, PicturePoseConfig, crest_heights
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, rotations_of
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import ROUNDS, RefinedPose, refine
 from ltm_core.pose_estimation.skyline.skyline_search import search_azimuths
 
@@ -31,6 +32,10 @@ _MOST_POINTS = 1000
 _COARSE_POINTS = 500
 _NEARBY = np.array([(a, p, r) for a in (-0.25, 0.0, 0.25) for p in (-0.1, 0.0, 0.1) for r in (-0.4, 0.0, 0.4)])
 """Degrees around each of the coarse grid's best poses at which finer edges are used."""
+_RESTARTS = np.array(
+    [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
+)
+"""Degrees: along a ridge that runs up through the image, azimuth, pitch and roll compensate."""
 _ROUNDS = tuple((reach, 1.0) for reach in (16.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 4.0, 4.0))
 _SETTLING = ((4.0, 1.0),) * 12  # rounds of both, as in `pose_refinement.ROUNDS`
 
@@ -55,10 +60,10 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     found: list[tuple[float, Float64Array, Camera]] = []
     for factor in focal_candidates(problem.focal_sigma):
         lens = evidence.camera.zoomed(factor)
-        scores = contour_scores(rotations_of(grid), few, lens, evidence.coarse_edges)[0] - _prior_cost(grid, prior)
+        scores = contour_scores(_rotations(grid), few, lens, evidence.coarse_edges)[0] - _prior_cost(grid, prior)
         first = grid[np.argsort(-scores)[: 16 * _KEPT]]
         nearby = (first[:, None] + _NEARBY).reshape(-1, 3)
-        scores = contour_scores(rotations_of(nearby), points, lens, evidence.edges)[0] - _prior_cost(nearby, prior)
+        scores = contour_scores(_rotations(nearby), points, lens, evidence.edges)[0] - _prior_cost(nearby, prior)
         scores, each = scores.reshape(len(first), -1), nearby.reshape(len(first), -1, 3)
         best = scores.argmax(axis=1)
         found += [(float(scores[k, j]), each[k, j], lens) for k, j in enumerate(best.tolist())]
@@ -84,7 +89,7 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
         # Again from about the best: what a wrong roll trapped gets out.
         best = hypotheses[0].refined
         at = np.array(best.pose.angles_deg)
-        starts = [(at + offset, best.camera) for offset in _restarts()]
+        starts = [(at + sign * offset, best.camera) for offset in _RESTARTS for sign in (1.0, -1.0)]
     # Rounds end before a pose has settled where azimuth and roll make up for each other. It is judged as it was found,
     # as the others are.
     hypotheses[0] = replace(hypotheses[0], refined=refined_from(best.pose, best.camera, _SETTLING))
@@ -96,10 +101,10 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     return kept
 
 
-def _restarts() -> list[Float64Array]:
-    """Return degrees. Along a ridge that runs up through the image, azimuth, pitch and roll compensate."""
-    offsets = [(0.0, 0.0, 1.2), (0.0, 0.0, 0.6), (0.2, -0.1, 0.6), (0.5, -0.2, 1.2), (0.8, 0.0, 0.0), (0.0, 0.4, 0.4)]
-    return [sign * np.array(offset) for offset in offsets for sign in (1.0, -1.0)]
+def _rotations(angles_deg: Float64Array) -> Float64Array:
+    """Return (P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
+    turned = Rotation.from_euler("ZXZ", angles_deg * (-1.0, 1.0, 1.0) - (0.0, 90.0, 0.0), degrees=True)
+    return np.asarray(turned.as_matrix(), np.float64)
 
 
 def _steps(reach: float, step: float) -> Float64Array:
@@ -148,7 +153,7 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
         camera = evidence.camera.zoomed(factor)
         costs = search_azimuths(skyline, camera, prior, horizon, azimuths, position_sigma, config.skyline)
         angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
-        scores = _best_over_pitch(rotations_of(angles), coarse, camera, evidence)
+        scores = _best_over_pitch(_rotations(angles), coarse, camera, evidence)
         candidates.append((camera, angles, costs.cost, scores))
     usual, spread = usual_score(np.concatenate([scores for *_, scores in candidates]))
     ranked: list[tuple[float, Float64Array, Camera]] = []
