@@ -10,9 +10,10 @@ from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.possible_ground import NOTHING_BEYOND
+from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_core.vision.labels import Label
 
 BEND = ray_bend(True, 0.13)
@@ -42,6 +43,13 @@ def terrain() -> SearchTerrain:
 
 def eye(height: float = 12.0) -> tuple[float, float, float]:
     return (*PLACE, float(mountains().elevation_at(*PLACE)) + height)
+
+
+TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
+"""What a mount says of it."""
+OPEN = SearchTerrain(mountains(), BEND, PossibleGround())
+"""The same terrain, with land beyond it that may stand over its horizon."""
 
 
 def view(pose: Pose, camera: Camera = CAMERA) -> tuple[UInt8Array, UInt8Array]:
