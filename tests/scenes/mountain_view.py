@@ -1,8 +1,11 @@
 """A camera before mountains: a DEM of hills, and pictures of it as its own tracer sees it."""
 
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.camera import Camera
@@ -19,6 +22,7 @@ from ltm_core.vision.labels import Label
 BEND = ray_bend(True, 0.13)
 CAMERA = Camera.from_fov(480, 300, 52.0)
 PLACE = (2100.0, 1700.0)
+CRS, ORIGIN = "EPSG:32611", (380_000.0, 3_800_000.0)
 
 
 @lru_cache(maxsize=1)
@@ -64,3 +68,13 @@ def view(pose: Pose, camera: Camera = CAMERA) -> tuple[UInt8Array, UInt8Array]:
     )
     labels = np.where(sky, np.uint8(Label.SKY), np.uint8(Label.BARE)).astype(np.uint8)
     return np.clip(photo, 0, 255).astype(np.uint8), labels
+
+
+def write_site(folder: Path, **sections: Any) -> Path:
+    """Write a site of this terrain, the origin of its map at ORIGIN; nothing lies beyond it."""
+    dem = mountains()
+    Dem(dem.elevation, dem.geometry.translated(*ORIGIN, CRS)).save(folder / "dem.tif")
+    content = {"name": "ridge", "crs": CRS, "origin": list(ORIGIN), "dem": {"path": "dem.tif"}}
+    content |= {"possible_ground": {"highest": -10000.0}} | sections
+    (folder / "site.yaml").write_text("# The ridge.\n" + yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return folder / "site.yaml"

@@ -209,9 +209,9 @@ def clearer_turn(
     azimuth, pitch, roll = known.pose.angles_deg
     turns = math.radians(_TURN_STEP_DEG) * np.arange(-_TURN_STEPS, _TURN_STEPS + 1)
     azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)
-    found = search_azimuths(skyline, camera, known, horizon, azimuths, 0.0, config)
-    best = int(np.argmin(found.cost))
-    if abs(best - _TURN_STEPS) < _TURN_NEAR or found.cost[best] > found.cost[_TURN_STEPS] - _TURN_GAIN:
+    cost, *tilts = search_azimuths(skyline, camera, known, horizon, azimuths, 0.0, config)
+    best = int(np.argmin(cost))
+    if abs(best - _TURN_STEPS) < _TURN_NEAR or cost[best] > cost[_TURN_STEPS] - _TURN_GAIN:
         return None
-    turned, up, over = (math.degrees(float(change[best])) for change in (azimuths, found.pitch, found.roll))
+    turned, up, over = (math.degrees(float(change[best])) for change in (azimuths, *tilts))
     return Pose.from_angles(known.pose.position, turned, pitch + up, roll + over)

@@ -26,7 +26,7 @@ from ltm_core.vision.labels import UNLABELLED, Label
 
 _MOST_POINTS = 4000
 _ONE_EDGE = 8.0  # length in pixels of the edge image along a ridge within which an edge is continuous
-_SPREAD = 0.7  # standard deviation of a pixel's response, and so of random scores
+SPREAD = 0.7  # standard deviation of a pixel's response, and so of random scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +92,6 @@ def contour_scores(
     return scores, counts
 
 
-def usual_score(scores: Float64Array) -> tuple[float, float]:
-    """Return median and robust standard deviation of the scores (P,) of many poses, equal if no ridge is in view."""
-    middle = float(np.median(scores))
-    return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), _SPREAD)
-
-
 def ridge_strength(
     pose: Pose, directions: ContourDirections, step: float, camera: Camera, edges: ImageContours
 ) -> float:
@@ -110,7 +104,7 @@ def ridge_strength(
         return 0.0
     excess = float(scores[0]) * math.sqrt(count + 20.0) / count
     length = count * around.every * step * camera.fx / edges.scale
-    return excess * math.sqrt(length / _ONE_EDGE) / _SPREAD
+    return excess * math.sqrt(length / _ONE_EDGE) / SPREAD
 
 
 @kernel(nogil=True)

@@ -27,10 +27,6 @@ class CrestCover:
     near: Float64Array
     far: Float64Array
 
-    def of(self, labels: UInt8Array) -> Float64Array:
-        """Return (N, 4) of labels (N,): near height and sigma, far height and sigma."""
-        return np.hstack([self.near[labels], self.far[labels]])
-
     def at(self, labels: UInt8Array, ranges: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
         far = farness(ranges)[:, None]

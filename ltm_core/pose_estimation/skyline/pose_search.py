@@ -10,11 +10,11 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.skyline.contour_scores import (
+    SPREAD,
     ContourDirections,
     PictureEvidence,
     contour_scores,
     ridge_strength,
-    usual_score,
 )
 from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, PicturePoseConfig, crest_heights
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
@@ -151,11 +151,13 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     candidates = []
     for factor in focal_candidates(problem.focal_sigma):
         camera = evidence.camera.zoomed(factor)
-        costs = search_azimuths(skyline, camera, prior, horizon, azimuths, position_sigma, config.skyline)
-        angles = np.degrees(np.column_stack([costs.azimuth, costs.pitch, costs.roll])) + np.array([0.0, pitch, roll])
+        cost, *tilts = search_azimuths(skyline, camera, prior, horizon, azimuths, position_sigma, config.skyline)
+        angles = np.degrees(np.column_stack([azimuths, *tilts])) + np.array([0.0, pitch, roll])
         scores = _best_over_pitch(_rotations(angles), coarse, camera, evidence)
-        candidates.append((camera, angles, costs.cost, scores))
-    usual, spread = usual_score(np.concatenate([scores for *_, scores in candidates]))
+        candidates.append((camera, angles, cost, scores))
+    every = np.concatenate([scores for *_, scores in candidates])
+    usual = float(np.median(every))
+    spread = max(1.4826 * float(np.median(np.abs(every - usual))), SPREAD)
     ranked: list[tuple[float, Float64Array, Camera]] = []
     for camera, angles, cost, scores in candidates:
         total = cost + _ridge_cost(scores, usual, spread, config)
