@@ -86,7 +86,7 @@ def contradicted_share(
         return None
     try:
         prior = PosePrior(pose, 1.0, 1.0, 1.0)
-        horizon = terrain.horizon_for(evidence.camera, prior, config)
+        horizon = terrain.horizon_for(evidence.camera, prior)
     except PoseError:
         return None
     rows = skyline_observations(pose, evidence.camera, PoseProblem(evidence, horizon, prior, config), 1.0)

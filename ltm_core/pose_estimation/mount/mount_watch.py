@@ -184,12 +184,12 @@ class MountWatch:
         """About the prior direction, of the last few that were asked for, with its ridges."""
         azimuth = round(prior.pose.angles_deg[0] / _STEP_DEG) * _STEP_DEG
         place = tuple(round(float(v), 2) for v in prior.pose.position)
-        reach = search_reach(prior, self._search)
+        reach = search_reach(prior)
         key = (*place, azimuth, round(reach, 3), evidence.camera.fx, evidence.camera.width)
         if key not in self._horizons:
             middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
             around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _STEP_DEG)
-            horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
+            horizon = self._terrain.horizon_for(evidence.camera, around)
             self._horizons[key] = horizon, ContourDirections.of(horizon, self._search.contours.nearest)
             if len(self._horizons) > _KEPT:
                 del self._horizons[next(iter(self._horizons))]

@@ -144,6 +144,7 @@ def _scores(
     return scores, counts
 
 
+_WORKING_WIDTH = 1280  # pixels; wider photos are reduced to it
 _BORDER = 0.006  # share of the width within which a skyline beside a hidden area is the border of that area
 _SKY_EDGE = 0.01  # distance from land, share of the width, within which edges are kept; clouds' are further up
 _LEAST_SKY = 0.1  # minimum share of columns that must have a skyline
@@ -190,7 +191,7 @@ def picture_evidence(
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
         raise ImageError(f"photo {photo.shape}, labels {labels.shape} and camera {size} must have one size (H, W)")
     masked = np.zeros(size, np.uint8) if hidden is None else hidden.astype(np.uint8)
-    width = min(camera.width, config.working_width)
+    width = min(camera.width, _WORKING_WIDTH)
     work = camera.resized(width, max(2, round(camera.height * width / camera.width)))
     shape = (work.width, work.height)
     small = cv2.resize(photo, shape, interpolation=cv2.INTER_AREA) if width < camera.width else photo

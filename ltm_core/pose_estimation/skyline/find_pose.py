@@ -42,6 +42,9 @@ _LEAST_SUPPORT = 0.3
 """Minimum share of the photo's skyline that must lie on the DEM's horizon, unless ridges alone agree. Above trees, and
 if a good skyline leaves two poses open, ridges mislead more often than not."""
 
+_SETTLING_PLANTS = 0.3  # minimum share of plants in the land for a pose to settle; nothing rises above bare ground
+_SETTLED_SIGMA_DEG = 0.3  # maximum sigma of a settled azimuth; less certain poses keep that of skyline and ridges
+
 
 @dataclass(frozen=True, eq=False)
 class PictureSearch:
@@ -75,9 +78,9 @@ class SearchTerrain:
         under = places[:, 2] <= self.dem.elevation_at(places[:, 0], places[:, 1])
         return [h for h, bad in zip(hypotheses, under, strict=True) if not bad]
 
-    def horizon_for(self, camera: Camera, prior: PosePrior, config: PicturePoseConfig) -> TerrainHorizon:
+    def horizon_for(self, camera: Camera, prior: PosePrior) -> TerrainHorizon:
         """Return the horizon from the prior position over the range of the search."""
-        reach = search_reach(prior, config)
+        reach = search_reach(prior)
         half = math.radians(camera.hfov_deg) / 2 + reach + math.radians(8.0)
         pixel = math.atan(1 / camera.fx)
         step = max(math.radians(0.04), 0.6 * pixel) if half >= math.pi else max(math.radians(0.02), 0.5 * pixel)
@@ -95,7 +98,7 @@ def find_pose(
 ) -> PictureSearch:
     """Search the pose of an image and judge it. `focal_sigma`: relative; 0 holds it. `horizon`: if it is known already.
     Raises PoseError as `terrain_horizon`."""
-    horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
+    horizon = terrain.horizon_for(evidence.camera, prior) if horizon is None else horizon
     problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
 
     def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> PictureSearch:
@@ -119,7 +122,7 @@ def find_pose(
         mean = terrain.above([both]) if both is not None else []
         together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None
         result = _decided(result, alone, together, config.verdict)
-    settles = evidence.plants >= config.settling.least_plants
+    settles = evidence.plants >= _SETTLING_PLANTS
     if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
         result = _settled(result, problem, terrain)
     trend = skyline_bending(result, problem)
@@ -187,7 +190,7 @@ def _settled(found: PictureSearch, problem: PoseProblem, terrain: SearchTerrain)
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, problem)
     kept = terrain.above([replace(best, refined=refined)])
-    if not kept or refined.sigma_deg[0] > problem.config.settling.most_azimuth_sigma_deg:
+    if not kept or refined.sigma_deg[0] > _SETTLED_SIGMA_DEG:
         return found
     return replace(found, hypotheses=(*kept, *others), verdict=replace(found.verdict, sigma_deg=refined.sigma_deg))
 
@@ -230,7 +233,7 @@ def find_pose_and_lens(
     `evidence_of`: evidence in the image by its camera, which undistorts it. Every k1 within two standard deviations is
     searched on the skyline. The best pose is followed to the k1 of least cost. The pose is then searched with that
     lens; poses of other lenses widen it and are alternatives to it. Without a skyline, the lens stays as stated."""
-    horizon = terrain.horizon_for(camera, prior, config)
+    horizon = terrain.horizon_for(camera, prior)
     ridges = ContourDirections.of(horizon, config.contours.nearest)
     middle = camera.distortion[0]
 

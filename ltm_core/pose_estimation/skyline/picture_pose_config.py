@@ -92,35 +92,6 @@ class ContourConfig:
 
 
 @dataclass(frozen=True)
-class SettlingConfig:
-    """Correlation between neighbouring places of ridges (`pose_refinement.settled_on_ridges`)."""
-
-    least_plants: float = 0.3  # minimum share of plants in the land; nothing rises above the DEM on bare ground
-    share: float = 0.6  # share of the variance of the cover on a ridge that plants of a stand have in common
-    stand: float = 150.0  # correlation length of the stand part, m
-    plant: float = 5.0  # correlation length of the remaining variance, the shape of single plants, m
-    doubt: float = 2.0  # factor on the variance of a pose, because some edges belong to something else
-    most_azimuth_sigma_deg: float = 0.3  # less certain poses keep the solution of skyline and ridges
-    most_points: int = 250  # maximum number of ridge points in a view; all are compared with each other
-
-
-@dataclass(frozen=True)
-class SearchConfig:
-    """Extent of the search for poses. Far ridges are periodic, with one local optimum per peak, and the best pose of
-    the grid need not be the best after refinement: therefore the extra hypotheses."""
-
-    step_deg: float = 0.25
-    wide_step_deg: float = 0.4  # if no heading is known
-    reach_sigmas: float = 4.0
-    least_reach_deg: float = 12.0
-    most_reach_deg: float = 40.0
-    hypotheses: int = 8  # number of best poses that are refined, `apart_deg` or more apart in azimuth
-    apart_deg: float = 1.2
-    extra_hypotheses: int = 6  # number of further poses that are refined, `extra_apart_deg` or more apart
-    extra_apart_deg: float = 0.5
-
-
-@dataclass(frozen=True)
 class VerdictConfig:
     """Criteria for accepting a pose.
 
@@ -159,8 +130,8 @@ class VerdictConfig:
     plants_score: float = 6.0  # minimum score of the ridges there, in multiples of chance
     ridges_variance: float = 1.4  # maximum variance of a visible skyline's misfits if only ridges are used
     contradiction: float = 3.5
-    """Maximum deviation from the prior pose in sigmas of an otherwise good pose. It is below
-    `SearchConfig.reach_sigmas`, because alternatives beyond the edge of the search are unknown."""
+    """Maximum deviation from the prior pose in sigmas of an otherwise good pose. It is below that of the search
+    (`search_reach`), because alternatives beyond its edge are unknown."""
 
     def gap_asked(self, veiled: float, variance: float) -> float:
         """Return the minimum gap if plants may hide this share of the skyline. Misfits of a small `variance` separate
@@ -180,7 +151,4 @@ class PicturePoseConfig:
 
     skyline: SkylineConfig = SkylineConfig()
     contours: ContourConfig = ContourConfig()
-    settling: SettlingConfig = SettlingConfig()
-    search: SearchConfig = SearchConfig()
     verdict: VerdictConfig = VerdictConfig()
-    working_width: int = 1280  # pixels; wider photos are reduced to it

@@ -94,12 +94,12 @@ def _change(a: RefinedPose, b: RefinedPose) -> Float64Array:
     return np.concatenate([b.pose.position - a.pose.position, turn, [math.log(b.camera.fx / a.camera.fx)]])
 
 
-def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
-    """Return the range of azimuths about the prior one to search, radians; pi if none is known."""
-    s = config.search
+def search_reach(prior: PosePrior) -> float:
+    """Return the range of azimuths about the prior one to search, radians: four sigmas, 12 to 40 degrees; pi if none is
+    known."""
     if not prior.heading_known:
         return math.pi
-    return math.radians(min(max(s.reach_sigmas * prior.azimuth_sigma_deg, s.least_reach_deg), s.most_reach_deg))
+    return math.radians(min(max(4.0 * prior.azimuth_sigma_deg, 12.0), 40.0))
 
 
 def focal_candidates(focal_sigma: float) -> Float64Array:

@@ -52,7 +52,7 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
         return []
     reach = 180.0
     if prior.heading_known:
-        reach = min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior, config)))
+        reach = min(2.5 * prior.azimuth_sigma_deg, math.degrees(search_reach(prior)))
     steps = _steps(reach, 0.5), _steps(2.5 * prior.pitch_sigma_deg, 0.2), _steps(2.5 * prior.roll_sigma_deg, 1.0)
     grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3) + prior.pose.angles_deg
     points = ridges.thinned(max(1, len(ridges.range) // _MOST_POINTS))
@@ -131,6 +131,11 @@ def _apart(found: list[tuple[Float64Array, Camera]]) -> list[tuple[Float64Array,
     return kept
 
 
+_STEP_DEG, _WIDE_STEP_DEG = 0.25, 0.4  # steps of azimuth of the search; the wide one if no heading is known
+_STARTS = (8, 1.2), (14, 0.5)
+"""Number of best poses that are refined, and their minimum distance in azimuth in degrees. Far ridges are periodic,
+with one local optimum per peak, and the best pose of the grid need not be the best after refinement: therefore the
+closer ones."""
 _SKYLINE_SETTLING = ((3.0, 1.0),) * 6  # further rounds, as in `ROUNDS`
 _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
@@ -138,10 +143,10 @@ _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     """Return hypotheses in order of cost for an image with a skyline."""
     evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
-    s, skyline = config.search, evidence.skyline
+    skyline = evidence.skyline
     assert skyline is not None  # nosec B101 # tells the type checker what holds
-    reach = search_reach(prior, config)
-    step = math.radians(s.step_deg if prior.heading_known else s.wide_step_deg)
+    reach = search_reach(prior)
+    step = math.radians(_STEP_DEG if prior.heading_known else _WIDE_STEP_DEG)
     azimuth, pitch, roll = prior.pose.angles_deg
     n = math.ceil(reach / step)
     azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
@@ -167,7 +172,7 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
         ranked += [(float(c), at, camera) for c, at in zip(total, angles, strict=True)]
     ranked.sort(key=lambda entry: entry[0])
     starts: list[tuple[Pose, Camera]] = []
-    for most, apart_deg in ((s.hypotheses, s.apart_deg), (s.hypotheses + s.extra_hypotheses, s.extra_apart_deg)):
+    for most, apart_deg in _STARTS:
         for _, at, camera in ranked:
             if len(starts) == most:
                 break

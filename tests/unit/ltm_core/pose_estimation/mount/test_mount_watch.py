@@ -100,7 +100,7 @@ def clearer(true: Pose) -> Pose | None:
     """By a picture of a camera that is believed to stand as before."""
     evidence, known = picture_evidence(*view(true), CAMERA), PosePrior(STATED, 1.0, 1.0, 1.0)
     assert evidence.skyline is not None
-    horizon = terrain().horizon_for(CAMERA, known, SEARCH)
+    horizon = terrain().horizon_for(CAMERA, known)
     return clearer_turn(evidence.skyline, CAMERA, known, horizon, SEARCH.skyline)
 
 

@@ -71,7 +71,7 @@ def test_where_nothing_lies_beyond_it_is_misfit() -> None:
     picture = view(TRUE)
     with_range_behind(picture, slice(0, 260), 14)
     evidence = picture_evidence(*picture, CAMERA)
-    horizon = terrain().horizon_for(evidence.camera, PRIOR, CONFIG)
+    horizon = terrain().horizon_for(evidence.camera, PRIOR)
     fit = skyline_fit(TRUE, evidence.camera, PoseProblem(evidence, horizon, PRIOR, CONFIG))
     assert fit.open == 0.0
     assert fit.support < 0.6

@@ -78,7 +78,7 @@ def test_a_lens_s_distortion_is_taken_out() -> None:
 
 def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
     """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
-    horizon = terrain().horizon_for(evidence.camera, NEAR, PicturePoseConfig())
+    horizon = terrain().horizon_for(evidence.camera, NEAR)
     rows = skyline_observations(TRUE, evidence.camera, PoseProblem(evidence, horizon, NEAR, PicturePoseConfig()), 1.0)
     assert rows is not None
     assert evidence.skyline is not None

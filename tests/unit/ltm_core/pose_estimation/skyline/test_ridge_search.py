@@ -17,7 +17,7 @@ CONFIG = PicturePoseConfig()
 
 def problem_of(picture: tuple[UInt8Array, UInt8Array]) -> PoseProblem:
     evidence = picture_evidence(*picture, CAMERA)
-    return PoseProblem(evidence, OPEN.horizon_for(evidence.camera, PRIOR, CONFIG), PRIOR, CONFIG)
+    return PoseProblem(evidence, OPEN.horizon_for(evidence.camera, PRIOR), PRIOR, CONFIG)
 
 
 def best_of(picture: tuple[UInt8Array, UInt8Array]) -> Hypothesis:
