@@ -186,7 +186,7 @@ class _PhotoSearch:
         begin = time.process_time()
 
         def evidence_of(camera: Camera) -> PictureEvidence:
-            return picture_evidence(photo, labels, camera, self.config, view.hidden)
+            return picture_evidence(photo, labels, camera, view.hidden)
 
         found = setup.camera
         if lens is not None:

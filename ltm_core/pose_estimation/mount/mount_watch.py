@@ -149,7 +149,7 @@ class MountWatch:
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
         horizon, ridges = self._horizon(evidence, prior)
         problem = PoseProblem(evidence, horizon, prior, self._search)
-        around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
+        around = ridges.in_view(pose, evidence.camera)
         turn = clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline)
         starts = [pose] if turn is None else [pose, turn]
         begun = [refine(start, evidence.camera, problem, around, _TRACKING) for start in starts]
@@ -190,7 +190,7 @@ class MountWatch:
             middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
             around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _STEP_DEG)
             horizon = self._terrain.horizon_for(evidence.camera, around)
-            self._horizons[key] = horizon, ContourDirections.of(horizon, self._search.contours.nearest)
+            self._horizons[key] = horizon, ContourDirections.of(horizon)
             if len(self._horizons) > _KEPT:
                 del self._horizons[next(iter(self._horizons))]
         return self._horizons[key]

@@ -234,7 +234,7 @@ def find_pose_and_lens(
     searched on the skyline. The best pose is followed to the k1 of least cost. The pose is then searched with that
     lens; poses of other lenses widen it and are alternatives to it. Without a skyline, the lens stays as stated."""
     horizon = terrain.horizon_for(camera, prior)
-    ridges = ContourDirections.of(horizon, config.contours.nearest)
+    ridges = ContourDirections.of(horizon)
     middle = camera.distortion[0]
 
     def with_k1(k1: float) -> Camera:
@@ -249,7 +249,7 @@ def find_pose_and_lens(
     def followed(start: _Trial, k1: float) -> _Trial:
         evidence = evidence_of(with_k1(k1))
         pose, work = start.refined.pose, start.refined.camera
-        around = ridges.in_view(pose, work, config.contours.most_points)
+        around = ridges.in_view(pose, work)
         return trial(k1, refine(pose, work, problem(evidence), around))
 
     trials: list[_Trial] = []

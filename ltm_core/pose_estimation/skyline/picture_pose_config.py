@@ -72,26 +72,6 @@ class SkylineConfig:
 
 
 @dataclass(frozen=True)
-class ContourConfig:
-    """Weights of ridges within the scene. Pixels and lengths in pixels are those of an image 640 pixels wide."""
-
-    width: int = 640  # width of the images in which edges are searched
-    coarse_width: int = 320  # width of the images in which poses are compared
-    weight: float = 0.4  # weight of half the square of a pose's robust z-score among all compared poses
-    most: float = 8.0  # maximum robust z-score that counts
-    nearest: float = 150.0  # minimum range of ridges, m; nearer ridges are trees as much as terrain
-    sigma_px: float = 1.2  # standard deviation of an edge
-    outliers: float = 0.5  # share of ridge points whose nearest edge is something else
-    correlation_px: float = 24.0  # length along a ridge within which its errors are fully correlated, pixels
-    correlation: float = 24.0  # the same in metres; the longer of both counts
-    most_points: int = 700  # maximum number of ridge points in a view by which a pose is refined
-
-    def odds(self, search: float) -> float:
-        """Return the ratio as `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
-        return (1 - self.outliers) / self.outliers * 0.75 * search
-
-
-@dataclass(frozen=True)
 class VerdictConfig:
     """Criteria for accepting a pose.
 
@@ -150,5 +130,4 @@ class PicturePoseConfig:
     """All constants of pose estimation from a photo."""
 
     skyline: SkylineConfig = SkylineConfig()
-    contours: ContourConfig = ContourConfig()
     verdict: VerdictConfig = VerdictConfig()

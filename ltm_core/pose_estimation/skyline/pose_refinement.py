@@ -32,6 +32,7 @@ from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
 MOST_FOCAL_STEP = 0.05  # maximum step of the focal length's logarithm in one round
 FEWEST = 6  # minimum number of places of a skyline or of ridges
+_EDGE_OUTLIERS = 0.5  # share of ridge points whose nearest edge is something else
 _TELLING = 0.02  # standard deviation in radians above which a column does not support a pose
 _LEAST_TOLD = 1 / 3  # minimum share of a skyline that the DEM's horizon must cover to count as support
 _MOST_SQUARE = 9.0  # maximum squared error of a column in sigmas; columns further off show something else
@@ -155,13 +156,18 @@ def picture_system(
     normal, gradient, config = 1e-12 * np.eye(7), np.zeros(7), problem.config
     skyline = skyline_observations(pose, camera, problem, wide)
     contours = ridge_observations(pose, camera, problem, ridges, search)
-    for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, config.contours.odds(search))):
+    for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, _edge_odds(search))):
         if rows is None or len(rows.error) < FEWEST:
             continue
         weight = rows.weight * fitting(rows, odds, expected) / rows.sigma**2
         normal += (rows.slopes.T * weight) @ rows.slopes
         gradient += rows.slopes.T @ (weight * rows.error)
     return normal, gradient
+
+
+def _edge_odds(search: float) -> float:
+    """Return the ratio as `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
+    return (1 - _EDGE_OUTLIERS) / _EDGE_OUTLIERS * 0.75 * search
 
 
 def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
@@ -183,8 +189,7 @@ _LEAST_FITTING = 0.02  # minimum fit of an edge; others cost time and add nothin
 
 def settled_on_ridges(refined: RefinedPose, problem: PoseProblem) -> RefinedPose:
     """Return the image's pose by ridges alone, including the DEM's own horizon; the skyline's fit is kept."""
-    config = problem.config
-    ridges = ContourDirections.of(problem.horizon, config.contours.nearest, with_horizon=True)
+    ridges = ContourDirections.of(problem.horizon, with_horizon=True)
     around = ridges.in_view(refined.pose, refined.camera, _MOST_POINTS)
     unseen = replace(problem, evidence=replace(problem.evidence, skyline=None))
     found = refine(refined.pose, refined.camera, unseen, around, _ROUNDS, alone=True)
@@ -201,11 +206,11 @@ def ridge_system(
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
     """Return the system as `picture_system`, of ridges alone, with the errors shared by neighbouring places."""
-    normal, gradient, config = 1e-12 * np.eye(7), np.zeros(7), problem.config
+    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     rows = ridge_observations(pose, camera, problem, ridges, search)
     if rows is None:
         return normal, gradient
-    fits = fitting(rows, config.contours.odds(search), expected)
+    fits = fitting(rows, _edge_odds(search), expected)
     kept = np.flatnonzero((rows.weight > 0) & (fits > _LEAST_FITTING))
     if len(kept) < FEWEST:
         return normal, gradient

@@ -10,13 +10,16 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.skyline.contour_scores import (
+    MOST_POINTS,
+    RIDGE_WEIGHT,
     SPREAD,
     ContourDirections,
     PictureEvidence,
     contour_scores,
+    ridge_gain,
     ridge_strength,
 )
-from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, PicturePoseConfig, crest_heights
+from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, crest_heights
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
@@ -44,10 +47,9 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     """Return hypotheses in order of cost, without the skyline; none if too few ridges may be in view."""
     evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
     cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
-    contours = replace(config.contours, correlation=_ALONG, correlation_px=_ALONG)
-    config = replace(config, skyline=replace(config.skyline, cover=cover), contours=contours)
-    problem = replace(problem, evidence=replace(evidence, skyline=None), config=config)
-    ridges = ContourDirections.of(horizon, config.contours.nearest, with_horizon=True)
+    config = replace(config, skyline=replace(config.skyline, cover=cover))
+    problem = replace(problem, evidence=replace(evidence, skyline=None), config=config, along=_ALONG)
+    ridges = ContourDirections.of(horizon, with_horizon=True)
     if len(ridges.range) < 30:
         return []
     reach = 180.0
@@ -83,7 +85,7 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
             start = Pose.from_angles(prior.pose.position, *(float(a) for a in angles))
             refined = refined_from(start, lens, _ROUNDS)
             z = ridge_strength(refined.pose, ridges, horizon.step, refined.camera, evidence.edges)
-            cost = refined.cost - config.contours.weight * max(z, 0.0) ** 2 / 2
+            cost = refined.cost - RIDGE_WEIGHT * max(z, 0.0) ** 2 / 2
             hypotheses.append(Hypothesis(refined, cost, z))
         hypotheses.sort(key=lambda hypothesis: hypothesis.cost)
         # Again from about the best: what a wrong roll trapped gets out.
@@ -150,8 +152,8 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     azimuth, pitch, roll = prior.pose.angles_deg
     n = math.ceil(reach / step)
     azimuths = np.asarray(math.radians(azimuth) + step * np.arange(-n, n + 1), np.float64)
-    ridges = ContourDirections.of(horizon, config.contours.nearest)
-    coarse = ridges.thinned(max(1, len(ridges.range) // (config.contours.most_points * (6 if horizon.whole else 2))))
+    ridges = ContourDirections.of(horizon)
+    coarse = ridges.thinned(max(1, len(ridges.range) // (MOST_POINTS * (6 if horizon.whole else 2))))
     position_sigma = 0.5 * prior.position_sigma
     candidates = []
     for factor in focal_candidates(problem.focal_sigma):
@@ -165,7 +167,7 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     spread = max(1.4826 * float(np.median(np.abs(every - usual))), SPREAD)
     ranked: list[tuple[float, Float64Array, Camera]] = []
     for camera, angles, cost, scores in candidates:
-        total = cost + _ridge_cost(scores, usual, spread, config)
+        total = cost - ridge_gain((scores - usual) / spread)
         if prior.heading_known:
             away = (angles[:, 0] - azimuth + 180.0) % 360.0 - 180.0
             total += 0.5 * (away / prior.azimuth_sigma_deg) ** 2
@@ -181,11 +183,11 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
                 starts.append((pose, camera))
 
     def hypothesis_from(pose: Pose, camera: Camera, rounds: tuple[tuple[float, float], ...]) -> Hypothesis:
-        around = ridges.in_view(pose, camera, config.contours.most_points)
+        around = ridges.in_view(pose, camera)
         refined = refine(pose, camera, problem, around, rounds)
         score, _ = contour_scores(refined.pose.rotation[None], coarse, refined.camera, evidence.coarse_edges)
-        ridge = float(_ridge_cost(score, usual, spread, config)[0])
-        return Hypothesis(refined, refined.cost + ridge, (float(score[0]) - usual) / spread)
+        z = (float(score[0]) - usual) / spread
+        return Hypothesis(refined, refined.cost - float(ridge_gain(z)), z)
 
     found = sorted((hypothesis_from(*start, ROUNDS) for start in starts), key=lambda hypothesis: hypothesis.cost)
     # Along a smooth slope a pose has not settled when its rounds end: those that the mean will be of go on.
@@ -210,8 +212,3 @@ def _best_over_pitch(
         up = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])  # about the camera's x axis
         best = np.maximum(best, contour_scores(rotations @ up, ridges, camera, evidence.coarse_edges)[0])
     return best
-
-
-def _ridge_cost(scores: Float64Array, usual: float, spread: float, config: PicturePoseConfig) -> Float64Array:
-    z = np.clip((scores - usual) / spread, 0.0, config.contours.most)
-    return np.asarray(-config.contours.weight * z * z / 2, np.float64)

@@ -107,7 +107,7 @@ def prepared(
 ) -> PreparedFrame:
     """Return a frame with its evidence, from the (H, W) labels that the search gets."""
     begin = time.process_time()
-    evidence = picture_evidence(frame.photo, labels, frame.camera, config)
+    evidence = picture_evidence(frame.photo, labels, frame.camera)
     spent = time.process_time() - begin
     horizon = terrain.horizon_for(evidence.camera, PosePrior(frame.pose, 1.0))
     half = math.radians(frame.camera.hfov_deg) / 2

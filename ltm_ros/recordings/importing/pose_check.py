@@ -98,7 +98,7 @@ class Placement:
         if self.dem is None or photo.shape[:2] != (placed.camera.height, placed.camera.width):
             return None
         config = PicturePoseConfig()
-        evidence = picture_evidence(photo, labels, placed.camera, config)
+        evidence = picture_evidence(photo, labels, placed.camera)
         if evidence.skyline is None:
             return None
         prior = PosePrior(placed.pose, 1.0)
