@@ -178,9 +178,9 @@ class SurveyedState(StrEnum):
     SEEN = "seen"
     HIDDEN = "hidden"
     """The ray aimed at the point ends before it: on other ground, or on the DEM's surface above a point below it."""
-    BEYOND = "above its surface"
+    ABOVE = "above its surface"
     """The ray passes the point: the DEM cuts off the edge or tree on which it is."""
-    UNKNOWN = "beside the DEM"
+    BESIDE = "beside the DEM"
     """No ground is known at the point or on the way to it."""
 
 
@@ -218,6 +218,6 @@ def traced_errors(result: Resection, tracer: TerrainTracer) -> TracedErrors:
     # Metres by which rays aimed at the places end beyond them; NaN if no ground is known on the way.
     beyond = tracer.trace_rays(pose.position, sights) - np.linalg.norm(sights, axis=1)
     seen, passed = np.abs(beyond) < HIDDEN_BY, (beyond > 0) | (np.isnan(beyond) & (above > 0))
-    found = np.select([seen, np.isnan(above), passed, np.isnan(beyond)], [0, 3, 2, 3], 1)
-    states = tuple(list(SurveyedState)[k] for k in found.tolist())
-    return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), states, above)
+    states = SurveyedState.SEEN, SurveyedState.BESIDE, SurveyedState.ABOVE, SurveyedState.BESIDE
+    found = np.select([seen, np.isnan(above), passed, np.isnan(beyond)], states, SurveyedState.HIDDEN)
+    return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), tuple(map(SurveyedState, found)), above)
