@@ -77,11 +77,10 @@ class MountWatch:
         was clear. Raises PoseError for a camera beside the DEM or under its ground."""
         if self.state is MountState.HELD:
             return self._track(evidence, self.correction.applied(stated, covariance)[0])
-        prior = PosePrior.of_covariance(stated, covariance)
         if self.state is MountState.SLIPPED:  # the place stays, whatever has turned the camera
-            sigma = self._config.slip_sigma_deg
-            prior = PosePrior(self.correction.applied(stated, covariance)[0], sigma, sigma, sigma)
-        return self._gather(evidence, prior)
+            sigmas = (self._config.slip_sigma_deg,) * 3
+            return self._gather(evidence, PosePrior(self.correction.applied(stated, covariance)[0], *sigmas))
+        return self._gather(evidence, PosePrior.of_covariance(stated, covariance))
 
     def _gather(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
         search = self._find(evidence, prior)
