@@ -43,7 +43,7 @@ COVARIANCE = pose_covariance(STATED, 0.4, 0.7, 1.5, 0.5, 0.5)
 
 def refined_site(folder: Path, **refine: Any) -> str:
     more = {"refine_poses": {}, "expert": {"refine_poses": refine}} if refine else {}
-    return str(write_site(folder, cameras={"mast": {"image": "raw"}}, **more))
+    return str(write_site(folder, name="rim", cameras={"mast": {"image": "raw"}}, **more))
 
 
 def show(node: PoseHandler, stamp: int) -> None:
