@@ -21,7 +21,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.locating.region import ImageMark
 from ltm_core.locating.settings import LocatingConfig
 from ltm_core.locating.sight_fan import Rays, SightFan, SmokeDensities
-from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, add_smeared, ground_along, smoke_along
+from ltm_core.locating.sight_kernels import ROOT_2PI, add_drifted, ground_along, smoke_along
 from ltm_core.raster.dem import Dem
 from ltm_core.visibility.footprint import pixel_rays
 
@@ -218,7 +218,8 @@ def sight_likelihood(
         if not turned:
             add_drifted(rays, fan.widths, table.density, lean, NEXT_DRIFT, found)
             return SightLikelihood(density, fit, lifts)
-        add_smeared(rays, fan.azimuths, lean, found)
+        # Over all azimuths that a turned camera may have, drift moves nothing in the mean.
+        density, fit = density + hidden, fit + hidden_fit
     azimuth = table.density[0][:, knots]
     if turned:
         known = np.isfinite(fan.heights)

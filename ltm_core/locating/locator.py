@@ -13,7 +13,7 @@ exceeds that of none by `wrong_odds`; the answer is then the mixture of what the
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -202,13 +202,13 @@ class Location:
     lift: float
 
 
+@dataclass(frozen=True, eq=False)
 class Locator:
     """Locator of marks on one terrain. `dem`: the visible surface in the frame of the poses. `bend`: of rays."""
 
-    def __init__(self, dem: Dem, bend: float, config: LocatingConfig = LocatingConfig()) -> None:
-        self.dem = dem
-        self.bend = bend
-        self.config = config
+    dem: Dem
+    bend: float
+    config: LocatingConfig = field(default_factory=LocatingConfig)
 
     def locate(self, sightings: Sequence[Sighting], smoke: bool = False) -> Location:
         """Locate the marked object by one or several sightings of it. `smoke`: its lowest visible part is marked, and

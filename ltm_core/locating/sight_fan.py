@@ -8,6 +8,7 @@ import numpy as np
 from ltm_core.base.kernels import kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int64Array, UInt8Array
 from ltm_core.raster.dem import Dem
+from ltm_core.raster.dem_seam_kernels import bilinear
 
 NEAREST = 3.0  # range in metres at which a fan begins
 _LEAST_STEP = 0.5
@@ -100,11 +101,7 @@ def _sample(
             x = col + sines[a] * ranges[k] * per_metre
             if not (0 <= y <= last_row and 0 <= x <= last_col):
                 continue
-            i, j = min(int(y), last_row - 1), min(int(x), last_col - 1)
-            fy, fx = y - i, x - j
-            north = elevation[i, j] * (1 - fx) + elevation[i, j + 1] * fx
-            south = elevation[i + 1, j] * (1 - fx) + elevation[i + 1, j + 1] * fx
-            heights[a, k] = north * (1 - fy) + south * fy
+            heights[a, k] = bilinear(elevation, y, x)
             levels[a, k] = number
 
 

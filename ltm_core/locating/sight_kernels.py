@@ -231,10 +231,6 @@ def mean_density(first: float, last: float) -> float:
     return float(math.exp(-0.125 * (first + last) ** 2) / ROOT_2PI)
 
 
-_REACH = 2.5  # number of sigmas of drift within which neighbouring azimuths count
-_NEIGHBOURS = 9
-
-
 @kernel(nogil=True)
 def add_drifted(
     rays: Rays,
@@ -286,32 +282,3 @@ def add_drifted(
                     lifts[a, k] = behind / (seen + behind) * above * r
             density[a, k] = seen + behind
             fit[a, k] = seen_fit + behind_fit
-
-
-@kernel(nogil=True)
-def add_smeared(rays: Rays, azimuths: Float64Array, lean: float, found: SmokeDensities) -> None:
-    """Add the density at a hidden base, averaged over the azimuths of drift, which are evenly spaced."""
-    heights, levels, ranges, knots, z0, bend, _, slope_mean, _, _, _ = rays
-    density, hidden, fit, hidden_fit = found.seen, found.hidden, found.seen_fit, found.hidden_fit
-    count = len(azimuths)
-    spacing = (azimuths[-1] - azimuths[0]) / (count - 1)
-    for a in range(count):
-        for k in range(heights.shape[1]):
-            if levels[a, k] == NO_LEVEL or heights[a, k] != heights[a, k]:
-                continue
-            r = ranges[k]
-            above = slope_mean[a, knots[k]] - ((heights[a, k] - z0) / r - bend * r)
-            drift = lean * max(above, 0.0)
-            step = max(1, math.ceil(2 * _REACH * drift / spacing / (_NEIGHBOURS - 1))) if spacing > 0 else 1
-            total, value, value_fit = 0.0, 0.0, 0.0
-            for n in range(-(_NEIGHBOURS // 2), _NEIGHBOURS // 2 + 1):
-                b = a + n * step
-                if b < 0 or b >= count or levels[b, k] == NO_LEVEL:
-                    continue
-                off = n * step * spacing
-                weight = math.exp(-0.5 * (off / (drift + 1e-9)) ** 2)
-                total += weight
-                value += weight * hidden[b, k]
-                value_fit += weight * hidden_fit[b, k]
-            density[a, k] += value / total
-            fit[a, k] += value_fit / total

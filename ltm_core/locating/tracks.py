@@ -104,7 +104,7 @@ class Tracks:
     def add(self, seen: SeenAt) -> tuple[Track, Location]:
         """Add a sighting. Return its track and its own location. Raises as `Locator.locate`; nothing changes then."""
         alone = self.locator.locate([seen.sighting], self.smoke)
-        self.expire(seen.stamp_ns)
+        self.tracks = [track for track in self.tracks if seen.stamp_ns - track.last_ns <= self.lifetime_ns]
         best: tuple[float, Track, Location] | None = None
         disputes: list[tuple[Track, frozenset[str]]] = []
         for track in self.tracks:
@@ -132,10 +132,6 @@ class Tracks:
         self._next += 1
         self.tracks = sorted([*self.tracks, track], key=lambda each: each.last_ns)[-self.most :]
         return track, alone
-
-    def expire(self, now_ns: int) -> None:
-        """End tracks without recent sightings."""
-        self.tracks = [track for track in self.tracks if now_ns - track.last_ns <= self.lifetime_ns]
 
     def _kept(self, sightings: Sequence[SeenAt]) -> list[SeenAt]:
         """Return the newest of each camera."""

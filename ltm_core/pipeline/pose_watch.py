@@ -80,13 +80,13 @@ def contradicted_share(
     """Return the share of the columns whose skyline contradicts the terrain; None for an image without a clear skyline,
     and for a camera beside the DEM or under its ground, which the tracer reports."""
     sky = np.where(labels == np.uint8(Label.SKY), np.uint8(255), np.uint8(0))
-    evidence = picture_evidence(np.repeat(sky[..., None], 3, axis=2), labels, camera, config)
+    evidence = picture_evidence(np.repeat(sky[..., None], 3, axis=2), labels, camera)
     skyline = evidence.skyline
     if skyline is None or len(skyline.u) * skyline.spacing < _LEAST_SKYLINE * evidence.camera.width:
         return None
     try:
         prior = PosePrior(pose, 1.0, 1.0, 1.0)
-        horizon = terrain.horizon_for(evidence.camera, prior, config)
+        horizon = terrain.horizon_for(evidence.camera, prior)
     except PoseError:
         return None
     rows = skyline_observations(pose, evidence.camera, PoseProblem(evidence, horizon, prior, config), 1.0)

@@ -15,7 +15,6 @@ from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.pictures import to_png
 from ltm_core.pictures.trace import pose_fit_picture
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.storage.disk_io import require_files
 from ltm_core.storage.image_io import read_rgb
@@ -160,7 +159,7 @@ def _draw(path: Path, photo: UInt8Array, foreign: ForeignPose, placement: Placem
     if placement.dem is None or photo.shape[:2] != (placed.camera.height, placed.camera.width):
         return
     terrain = SearchTerrain(placement.dem, placement.bend)
-    horizon = terrain.horizon_for(placed.camera, PosePrior(placed.pose, 1.0), PicturePoseConfig())
+    horizon = terrain.horizon_for(placed.camera, PosePrior(placed.pose, 1.0))
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet = [(f"{foreign.name}, {how}", placed.camera, placed.pose)]
     path.write_bytes(to_png(pose_fit_picture(photo, placed.camera, horizon, sheet)))

@@ -148,7 +148,7 @@ def _from_photos(ptz: StatedMount, photos: Path) -> MountModel:
         if (doubt := doubt_of_sky(labels, view.hidden)) is not None:
             raise ImageError(f"{file}: {doubt}")
         priors.append(PosePrior(pose, azimuth, pitch, roll, place, height))
-        evidence = picture_evidence(photo, labels, camera, config, view.hidden)
+        evidence = picture_evidence(photo, labels, camera, view.hidden)
         searches.append(find_pose(evidence, terrain, widened(priors[-1], tilt_zero), config))
     fit = fit_mount(priors, searches, config, tilt_zero)
     if fit.word != "accepted":

@@ -1,5 +1,6 @@
 """`ltm pose photo`: find the poses of photos from their skylines and ridges."""
 
+import json
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +28,6 @@ from ltm_core.pose_estimation.skyline.picture_pose_io import (
     read_labels,
     result_of,
     set_up_search,
-    write_figures_of,
     write_result,
 )
 from ltm_core.raster.dem import Dem
@@ -186,7 +186,7 @@ class _PhotoSearch:
         begin = time.process_time()
 
         def evidence_of(camera: Camera) -> PictureEvidence:
-            return picture_evidence(photo, labels, camera, self.config, view.hidden)
+            return picture_evidence(photo, labels, camera, view.hidden)
 
         found = setup.camera
         if lens is not None:
@@ -247,4 +247,5 @@ def _write(found: list[FoundPhoto], out: Path, picture: Path | None, report: Pat
         at.write_bytes(to_png(pose_fit_picture(f.photo, f.setup.camera, f.search.horizon, poses)))
     if report is not None:
         report.parent.mkdir(parents=True, exist_ok=True)
-        write_figures_of(report, content if folder else next(iter(content.values())))
+        said = content if folder else next(iter(content.values()))
+        report.write_text(json.dumps(said, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -78,7 +78,7 @@ class PoseHandler(JoiningHandler[PoseKeepingConfig]):
         if not self._terms:
             self._recall(camera)
         watch, before = self._watch, self._watch.correction
-        evidence = picture_evidence(photo, msg_to_array(labels, ("mono8",)), camera, self._search, seen.hidden)
+        evidence = picture_evidence(photo, msg_to_array(labels, ("mono8",)), camera, seen.hidden)
         covariance = msg_to_covariance(pose, self._assumed)
         assert covariance is not None  # nosec B101 # tells the type checker what holds
         clear = watch.look(evidence, stated, covariance)

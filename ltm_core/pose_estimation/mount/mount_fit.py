@@ -18,7 +18,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector, nearest_vector, pose_covariance, vector_of_matrix
-from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_strength
+from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_gain, ridge_strength
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
 from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig, VerdictConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Word, mean_about_best
@@ -162,7 +162,7 @@ def fit_mount(
     if not priors or len(priors) != len(searches):
         raise PoseError(f"{len(priors)} stated poses for {len(searches)} images; give one for each")
     pictures = [
-        MountPicture(prior, search, ContourDirections.of(search.horizon, config.contours.nearest))
+        MountPicture(prior, search, ContourDirections.of(search.horizon))
         for prior, search in zip(priors, searches, strict=True)
     ]
     level = max(priors[0].pitch_sigma_deg, priors[0].roll_sigma_deg)
@@ -256,8 +256,7 @@ def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array
         pose, camera = p.pose(state), p.camera(state)
         cost = skyline_fit(pose, camera, p.problem(config)).cost
         z = ridge_strength(pose, p.ridges, p.search.horizon.step, camera, p.search.evidence.edges)
-        cost -= config.contours.weight * min(max(z, 0.0), config.contours.most) ** 2 / 2
-        total += cost / alike(p, pictures)
+        total += (cost - float(ridge_gain(z))) / alike(p, pictures)
     return total
 
 
@@ -274,7 +273,7 @@ def _refined(
         normal, gradient = np.zeros((8, 8)), np.zeros(8)
         for p in pictures:
             pose, camera = p.pose(state), p.camera(state)
-            around = p.ridges.in_view(pose, camera, config.contours.most_points)
+            around = p.ridges.in_view(pose, camera)
             n, g = picture_system(pose, camera, p.problem(config), around, search, wide, expected=last)
             shared = np.zeros((7, 8))
             shared[:6, :6] = np.eye(6)

@@ -135,7 +135,7 @@ class _Adjustment:
         state = np.zeros(int(self._free.sum()))
         everyone = np.ones(len(self._points.names), bool)
         for loss in ("soft_l1", "cauchy", "cauchy"):
-            state = self._least(state, everyone, loss, self._scale(state))
+            state, _ = self._least(state, everyone, loss, self._scale(state))
         return float(np.median(np.linalg.norm(self._residuals(state), axis=1))), state
 
     def solved(self, model: MountModel, state: Float64Array) -> MountResection:
@@ -152,18 +152,17 @@ class _Adjustment:
                 )
             settled = bool((now == used).all())
             used = now
-            state = self._least(state, used, "linear", self._sigma_px)
+            state, jacobian = self._least(state, used, "linear", self._sigma_px)
             if settled:
                 break
-        return self._result(state, used)
+        return self._result(state, jacobian, used)
 
-    def _result(self, state: Float64Array, used: BoolArray) -> MountResection:
+    def _result(self, state: Float64Array, jacobian: Float64Array, used: BoolArray) -> MountResection:
         focal = slice(7, 7 + len(self._zooms))
         # The encoders' errors are free, so that each preset takes up two coordinates of its own.
         bound = 7 - 3 * (not self._free[0]) + int(self._free[7 : 7 + 2 * len(self._zooms)].sum())
         spare = max(2 * int(used.sum()) - bound, 1)
         factor = max(1.0, float(np.linalg.norm(self._rows(state, used, self._sigma_px))) / math.sqrt(spare))
-        jacobian = self._jacobian(state, used)
         inverse = np.zeros((len(self._prior), len(self._prior)))
         inverse[np.ix_(self._free, self._free)] = np.linalg.pinv(jacobian.T @ jacobian) * factor**2
         covariance = inverse[:7, :7]
@@ -235,18 +234,14 @@ class _Adjustment:
         off = np.linalg.norm(self._residuals(state), axis=1)
         return max(self._sigma_px, float(np.median(off)) / 1.1774)
 
-    def _least(self, state: Float64Array, used: BoolArray, loss: str, sigma_px: float) -> Float64Array:
+    def _least(
+        self, state: Float64Array, used: BoolArray, loss: str, sigma_px: float
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the state of least cost, and the slopes of the rows there."""
         solved = least_squares(
             lambda x: self._rows(x, used, sigma_px), state, jac="2-point", x_scale="jac", loss=loss, max_nfev=60
         )
-        return np.asarray(solved.x, np.float64)
-
-    def _jacobian(self, state: Float64Array, used: BoolArray) -> Float64Array:
-        def rows(moved: Float64Array) -> Float64Array:
-            return self._rows(moved, used, self._sigma_px)
-
-        step = 1e-6
-        return np.column_stack([(rows(state + m) - rows(state - m)) / (2 * step) for m in step * np.eye(len(state))])
+        return solved.x, solved.jac
 
 
 STEEPEST_LEAN = math.radians(20.0)  # maximum lean of a mount from its stated orientation

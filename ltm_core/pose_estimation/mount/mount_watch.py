@@ -77,14 +77,10 @@ class MountWatch:
         was clear. Raises PoseError for a camera beside the DEM or under its ground."""
         if self.state is MountState.HELD:
             return self._track(evidence, self.correction.applied(stated, covariance)[0])
-        return self._gather(evidence, self._prior(stated, covariance))
-
-    def _prior(self, stated: Pose, covariance: Float64Array) -> PosePrior:
-        if self.state is not MountState.SLIPPED:
-            return PosePrior.of_covariance(stated, covariance)
-        # The place stays, whatever has turned the camera.
-        sigma = self._config.slip_sigma_deg
-        return PosePrior(self.correction.applied(stated, covariance)[0], sigma, sigma, sigma)
+        if self.state is MountState.SLIPPED:  # the place stays, whatever has turned the camera
+            sigmas = (self._config.slip_sigma_deg,) * 3
+            return self._gather(evidence, PosePrior(self.correction.applied(stated, covariance)[0], *sigmas))
+        return self._gather(evidence, PosePrior.of_covariance(stated, covariance))
 
     def _gather(self, evidence: PictureEvidence, prior: PosePrior) -> bool:
         search = self._find(evidence, prior)
@@ -152,7 +148,7 @@ class MountWatch:
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
         horizon, ridges = self._horizon(evidence, prior)
         problem = PoseProblem(evidence, horizon, prior, self._search)
-        around = ridges.in_view(pose, evidence.camera, self._search.contours.most_points)
+        around = ridges.in_view(pose, evidence.camera)
         turn = clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline)
         starts = [pose] if turn is None else [pose, turn]
         begun = [refine(start, evidence.camera, problem, around, _TRACKING) for start in starts]
@@ -170,19 +166,15 @@ class MountWatch:
         sigmas = np.sqrt(np.diag(slopes @ (found.covariance[3:6, 3:6] + self.correction.angles_at(pose)) @ slopes.T))
         limits = math.radians(self._config.least_slip_deg) + self._config.slip_sigmas * sigmas
         self._tracked.append(off if (np.abs(off) > limits).any() else None)
-        self._judge()
+        elsewhere = [turn for turn in self._tracked if turn is not None]
+        if len(elsewhere) >= self._config.slipped:
+            self.slips += 1
+            reason = (
+                f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
+                f"{_turn(elsewhere, 2)}"
+            )
+            self.become(MountState.SLIPPED, self._nowhere(), reason)
         return True
-
-    def _judge(self) -> None:
-        elsewhere = [off for off in self._tracked if off is not None]
-        if len(elsewhere) < self._config.slipped:
-            return
-        self.slips += 1
-        reason = (
-            f"{len(elsewhere)} of the last {len(self._tracked)} clear images show that the camera has turned by "
-            f"{_turn(elsewhere, 2)}"
-        )
-        self.become(MountState.SLIPPED, self._nowhere(), reason)
 
     def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
         return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior)[0])
@@ -191,13 +183,13 @@ class MountWatch:
         """About the prior direction, of the last few that were asked for, with its ridges."""
         azimuth = round(prior.pose.angles_deg[0] / _STEP_DEG) * _STEP_DEG
         place = tuple(round(float(v), 2) for v in prior.pose.position)
-        reach = search_reach(prior, self._search)
+        reach = search_reach(prior)
         key = (*place, azimuth, round(reach, 3), evidence.camera.fx, evidence.camera.width)
         if key not in self._horizons:
             middle = Pose.from_angles(prior.pose.position, azimuth, 0.0)
             around = replace(prior, pose=middle, azimuth_sigma_deg=prior.azimuth_sigma_deg + _STEP_DEG)
-            horizon = self._terrain.horizon_for(evidence.camera, around, self._search)
-            self._horizons[key] = horizon, ContourDirections.of(horizon, self._search.contours.nearest)
+            horizon = self._terrain.horizon_for(evidence.camera, around)
+            self._horizons[key] = horizon, ContourDirections.of(horizon)
             if len(self._horizons) > _KEPT:
                 del self._horizons[next(iter(self._horizons))]
         return self._horizons[key]
@@ -216,9 +208,9 @@ def clearer_turn(
     azimuth, pitch, roll = known.pose.angles_deg
     turns = math.radians(_TURN_STEP_DEG) * np.arange(-_TURN_STEPS, _TURN_STEPS + 1)
     azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)
-    found = search_azimuths(skyline, camera, known, horizon, azimuths, 0.0, config)
-    best = int(np.argmin(found.cost))
-    if abs(best - _TURN_STEPS) < _TURN_NEAR or found.cost[best] > found.cost[_TURN_STEPS] - _TURN_GAIN:
+    cost, *tilts = search_azimuths(skyline, camera, known, horizon, azimuths, 0.0, config)
+    best = int(np.argmin(cost))
+    if abs(best - _TURN_STEPS) < _TURN_NEAR or cost[best] > cost[_TURN_STEPS] - _TURN_GAIN:
         return None
-    turned, up, over = (math.degrees(float(change[best])) for change in (azimuths, found.pitch, found.roll))
+    turned, up, over = (math.degrees(float(change[best])) for change in (azimuths, *tilts))
     return Pose.from_angles(known.pose.position, turned, pitch + up, roll + over)

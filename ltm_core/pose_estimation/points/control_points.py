@@ -1,8 +1,8 @@
 """Hold surveyed control points, and find initial poses from a few of them.
 
 With the position known, two points and a focal length give a rotation in closed form (TRIAD: Black 1964); else three
-points give up to four poses (P3P: Ding et al., CVPR 2023, in OpenCV). Pairs, triples and focal lengths are scored by
-how many points they bring near their marks, after the idea of RANSAC (Fischler and Bolles 1981)."""
+points give up to four poses (P3P: Ding et al., CVPR 2023). Pairs, triples and focal lengths are scored by how many
+points they bring near their marks (RANSAC: Fischler and Bolles 1981; for triples, that of OpenCV)."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -66,10 +66,7 @@ FOCAL_FACTORS = np.geomspace(0.4, 2.5, 41)  # of the stated focal length, tried 
 MAX_PAIRS = 400
 MIN_SEPARATION = 0.03  # minimum separation of points as a share of the image's diagonal; closer points give no rotation
 STARTS = 4
-MAX_TRIPLES = 150
-MIN_TRIANGLE = 0.002  # minimum area of three points, share of the squared diagonal; smaller ones give no position
 FREE_STARTS = 6
-APART = 0.05  # distance between starts of a free position, as a share of the points' median distance
 
 
 def coarse_poses(
@@ -97,7 +94,7 @@ def coarse_poses(
         candidates += [(float(costs[k]), scaled, Pose(position, _orthonormal(rotations[k]))) for k in best]
     starts = [(camera, pose) for _, camera, pose in sorted(candidates, key=lambda found: found[0])[:STARTS]]
     if position_free:
-        starts += _poses_from_triples(points, camera, focal_free, bend, limit)
+        starts += _poses_anywhere(points, camera, focal_free, bend, limit)
     if angles_deg is not None:
         starts.append((camera, Pose.from_angles(position, *angles_deg)))
     if not starts:
@@ -107,61 +104,28 @@ def coarse_poses(
     return starts
 
 
-def _poses_from_triples(
+def _poses_anywhere(
     points: ControlPoints, camera: Camera, focal_free: bool, bend: float, limit: float
 ) -> list[tuple[Camera, Pose]]:
-    """Return the best few (camera, pose) at any position, apart from each other."""
-    triples = _triples(points, float(np.hypot(camera.width, camera.height)))
-    candidates: list[tuple[float, float, Camera, Pose]] = []
+    """Return the best few (camera, pose) at any position."""
+    middle = points.places.mean(axis=0)  # near zero, the solver's polynomials keep their digits
+    found: list[tuple[float, Camera, Pose]] = []
     for factor in FOCAL_FACTORS[::2] if focal_free else (1.0,):
         scaled = camera.zoomed(float(factor))
         rays = pixel_rays(scaled, points.pixels)
-        poses = [pose for triple in triples for pose in _three_point_poses(points.places[triple], rays[triple])]
-        if not poses:
+        seen = np.isfinite(rays).all(axis=1)
+        if seen.sum() < 4:
             continue
-        positions, rotations = (np.array(part) for part in zip(*poses, strict=True))
-        sights = points.places - positions[:, None]
-        sights[..., 2] -= bend * (sights[..., 0] ** 2 + sights[..., 1] ** 2)
-        costs = _costs(scaled, rotations, sights, points.pixels, limit)
-        for k in np.argsort(costs, kind="stable")[:FREE_STARTS]:
-            distance = float(np.median(np.linalg.norm(sights[k], axis=1)))
-            candidates.append((float(costs[k]), distance, scaled, Pose(positions[k], _orthonormal(rotations[k]))))
-    starts: list[tuple[Camera, Pose]] = []
-    for _, distance, scaled, pose in sorted(candidates, key=lambda candidate: candidate[0]):
-        near = (np.linalg.norm(pose.position - other.position) < APART * distance for _, other in starts)
-        if len(starts) < FREE_STARTS and not any(near):
-            starts.append((scaled, pose))
-    return starts
-
-
-def _triples(points: ControlPoints, diagonal: float) -> Int64Array:
-    """Return the triples of points whose marks span a triangle, at most MAX_TRIPLES of them: (T, 3)."""
-    triples = np.array(list(combinations(range(len(points.names)), 3))).reshape(-1, 3)
-    a, b, c = (points.pixels[triples[:, k]] for k in range(3))
-    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    return _some(triples[area > MIN_TRIANGLE * diagonal**2], MAX_TRIPLES)
-
-
-def _some(rows: Int64Array, most: int) -> Int64Array:
-    """Return rows, at most `most` of them, drawn with a fixed seed."""
-    return rows if len(rows) <= most else rows[np.random.default_rng(0).choice(len(rows), most, replace=False)]
-
-
-def _three_point_poses(places: Float64Array, rays: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
-    """Return (position, rotation from optical to map) of the cameras that see three places along three rays."""
-    if not np.isfinite(rays).all():
-        return []
-    # Near zero, so that the solver's polynomials keep their digits.
-    middle = places.mean(axis=0)
-    marks = rays[:, :2] / rays[:, 2:]
-    _, turns, shifts = cv2.solveP3P(places - middle, marks, np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_P3P)
-    found = []
-    for turn, shift in zip(turns, shifts, strict=True):
-        rotation = cv2.Rodrigues(turn)[0].T
-        position = middle - rotation @ shift[:, 0]
-        if np.isfinite(rotation).all() and np.isfinite(position).all():
-            found.append((position, rotation))
-    return found
+        marks, near = rays[seen, :2] / rays[seen, 2:], limit / scaled.fx
+        known, turn, shift, _ = cv2.solvePnPRansac(
+            points.places[seen] - middle, marks, np.eye(3), None, reprojectionError=near, flags=cv2.SOLVEPNP_P3P
+        )
+        if known and np.isfinite(turn).all() and np.isfinite(shift).all():
+            rotation = cv2.Rodrigues(turn)[0].T
+            pose = Pose(middle - rotation @ shift[:, 0], rotation)
+            sights = line_of_sight_vectors(pose.position, points.places, bend)
+            found.append((float(_costs(scaled, rotation[None], sights, points.pixels, limit)[0]), scaled, pose))
+    return [(camera, pose) for _, camera, pose in sorted(found, key=lambda start: start[0])[:FREE_STARTS]]
 
 
 def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tuple[Int64Array, Int64Array]:
@@ -176,7 +140,10 @@ def _pairs(points: ControlPoints, sights: Float64Array, diagonal: float) -> tupl
             f"least {MIN_SEPARATION * diagonal:.0f} px are needed) and {np.degrees(turn.max()):.2g} degrees as seen "
             "from the camera; mark points further apart"
         )
-    first, second = _some(pairs[far], MAX_PAIRS).T
+    chosen = pairs[far]
+    if len(chosen) > MAX_PAIRS:
+        chosen = chosen[np.random.default_rng(0).choice(len(chosen), MAX_PAIRS, replace=False)]
+    first, second = chosen.T
     return first, second
 
 

@@ -177,13 +177,11 @@ class SurveyedState(StrEnum):
 
     SEEN = "seen"
     HIDDEN = "hidden"
-    """Other ground is in front of the point."""
+    """The ray aimed at the point ends before it: on other ground, or on the DEM's surface above a point below it."""
+    ABOVE = "above its surface"
+    """The ray passes the point: the DEM cuts off the edge or tree on which it is."""
     BESIDE = "beside the DEM"
     """No ground is known at the point or on the way to it."""
-    BELOW = "below its surface"
-    """The point is below the DEM's surface, on which it would be seen."""
-    ABOVE = "above its surface"
-    """The ray passes above the DEM there: it cuts off the edge or tree on which the point is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,29 +213,11 @@ def traced_errors(result: Resection, tracer: TerrainTracer) -> TracedErrors:
         traced = directions * ranges[:, None]
         traced[:, 2] += tracer.bend * (traced[:, 0] ** 2 + traced[:, 1] ** 2)
     errors = np.linalg.norm(traced + pose.position - places, axis=1)
-    ground = np.asarray(tracer.dem.elevation_at(places[:, 0], places[:, 1]), np.float64)
-    above = places[:, 2] - ground
-    # A point that stands off the surface is asked for again where it would stand on it.
-    settled = places.copy()
-    settled[:, 2] = np.where(np.isnan(ground), places[:, 2], ground)
-    beyond, settled_beyond = (_beyond(tracer, pose.position, aims).tolist() for aims in (places, settled))
-    states = tuple(_state(*values) for values in zip(above.tolist(), beyond, settled_beyond, strict=True))
-    return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), states, above)
-
-
-def _beyond(tracer: TerrainTracer, position: Float64Array, places: Float64Array) -> Float64Array:
-    """Return the metres by which rays aimed at places end beyond them, or before (negative); NaN if unknown."""
-    sights = line_of_sight_vectors(position, places, tracer.bend)
-    return np.asarray(tracer.trace_rays(position, sights) - np.linalg.norm(sights, axis=1), np.float64)
-
-
-def _state(above: float, beyond: float, settled_beyond: float) -> SurveyedState:
-    if abs(beyond) < HIDDEN_BY:
-        return SurveyedState.SEEN
-    if np.isnan(above):
-        return SurveyedState.BESIDE
-    if abs(settled_beyond) < HIDDEN_BY:
-        return SurveyedState.ABOVE if above > 0 else SurveyedState.BELOW
-    if np.isnan(beyond):
-        return SurveyedState.BESIDE
-    return SurveyedState.ABOVE if beyond > 0 else SurveyedState.HIDDEN
+    above = places[:, 2] - np.asarray(tracer.dem.elevation_at(places[:, 0], places[:, 1]), np.float64)
+    sights = line_of_sight_vectors(pose.position, places, tracer.bend)
+    # Metres by which rays aimed at the places end beyond them; NaN if no ground is known on the way.
+    beyond = tracer.trace_rays(pose.position, sights) - np.linalg.norm(sights, axis=1)
+    seen, passed = np.abs(beyond) < HIDDEN_BY, (beyond > 0) | (np.isnan(beyond) & (above > 0))
+    states = SurveyedState.SEEN, SurveyedState.BESIDE, SurveyedState.ABOVE, SurveyedState.BESIDE
+    found = np.select([seen, np.isnan(above), passed, np.isnan(beyond)], states, SurveyedState.HIDDEN)
+    return TracedErrors(np.where(np.isfinite(errors), errors, np.inf), tuple(map(SurveyedState, found)), above)

@@ -11,7 +11,7 @@ from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector
-from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend, corner_radius, radial_trend
+from ltm_core.pose_estimation.lens import RADIAL, LensPrior, RadialTrend, corner_radius
 from ltm_core.pose_estimation.points.control_points import ControlPoints
 from ltm_core.visibility.footprint import line_of_sight_vectors
 
@@ -124,16 +124,9 @@ class Adjustment:
         term = next((name for name in LENS if name in RADIAL and name not in free), None)
         if term is None:
             return None
-        every: Free = (*free, term)
-        step = 1e-6
-        moved = (applied(change, fit.camera, fit.pose, every) for change in step * np.eye(3 + size_of(every)))
-        slopes = np.column_stack([(fit.residuals - self._residuals(*to))[fit.used].ravel() / step for to in moved])
-        errors = fit.residuals[fit.used].ravel()
-        good = np.isfinite(errors) & np.isfinite(slopes).all(axis=1)
-        if good.sum() <= slopes.shape[1]:
-            return None
-        sigma = np.full(int(good.sum()), fit.sigma_px)
-        return term, radial_trend(errors[good], slopes[good, :-1], slopes[good, -1], sigma)
+        bent = self._solve(fit, (*free, term), fit.used, fit.sigma_px, "linear")
+        k = bent.camera.distortion[RADIAL[term]] - fit.camera.distortion[RADIAL[term]]
+        return term, RadialTrend(k, float(np.sqrt(bent.covariance[-1, -1])))
 
     def _residuals(self, camera: Camera, pose: Pose) -> Float64Array:
         sight = line_of_sight_vectors(pose.position, self.points.places, self.bend)

@@ -7,6 +7,7 @@ from functools import cache
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.kernels import kernel
@@ -20,13 +21,15 @@ from ltm_core.pose_estimation.skyline.image_edges import (
     image_contours,
     image_skyline,
 )
-from ltm_core.pose_estimation.skyline.picture_pose_config import ContourConfig, PicturePoseConfig
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.vision.labels import UNLABELLED, Label
 
-_MOST_POINTS = 4000
+MOST_POINTS, _MOST_SCORED = 700, 4000  # maximum number of ridge points in a view by which a pose is refined, or scored
+_NEAREST = 150.0  # minimum range of ridges in metres
+_EDGE_WIDTH, _COARSE_WIDTH = 640, 320  # widths in pixels of the images in which edges are searched, and poses compared
+RIDGE_WEIGHT, _MOST_SCORE = 0.4, 8.0  # weight of half the square of a robust z-score, and its maximum
 _ONE_EDGE = 8.0  # length in pixels of the edge image along a ridge within which an edge is continuous
-_SPREAD = 0.7  # standard deviation of a pixel's response, and so of random scores
+SPREAD = 0.7  # standard deviation of a pixel's response, and so of random scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +44,15 @@ class ContourDirections:
     every: int = 1
 
     @classmethod
-    def of(cls, horizon: TerrainHorizon, nearest: float, with_horizon: bool = False) -> "ContourDirections":
-        """Return the points beyond `nearest` metres; `with_horizon`: including the horizon where it is a ridge."""
+    def of(cls, horizon: TerrainHorizon, with_horizon: bool = False) -> "ContourDirections":
+        """Return the points beyond 150 m; nearer ridges are trees as much as terrain. `with_horizon`: including the
+        horizon where it is a ridge."""
         c = horizon.contours
-        here = np.flatnonzero((c.following >= 0) & (c.range > nearest))
+        here = np.flatnonzero((c.following >= 0) & (c.range > _NEAREST))
         after, points = c.following[here], [c.azimuth, c.tangent, c.range, c.cell]
         if with_horizon:
             t, r = horizon.tangent, horizon.range
-            steady = (np.abs(np.diff(t)) < 4 * horizon.step) & (r[:-1] > nearest) & (r[1:] > nearest)
+            steady = (np.abs(np.diff(t)) < 4 * horizon.step) & (r[:-1] > _NEAREST) & (r[1:] > _NEAREST)
             steady &= np.abs(np.diff(np.log(np.maximum(r, 1.0)))) < 0.12
             steady &= ~(horizon.at_edge[:-1] | horizon.at_edge[1:])
             k = len(c) + np.flatnonzero(steady)  # the horizon's points come after those of the contours
@@ -59,7 +63,7 @@ class ContourDirections:
         seen, following = (_directions(azimuth[at], tangent[at]) for at in (here, after))
         return cls(seen, following, ranges[here], cells[here])
 
-    def in_view(self, pose: Pose, camera: Camera, most: int) -> "ContourDirections":
+    def in_view(self, pose: Pose, camera: Camera, most: int = MOST_POINTS) -> "ContourDirections":
         """Return at most `most` points in front of a camera or slightly beside it."""
         ahead = self.here @ pose.rotation
         wide = 1.15 * max(camera.cx, camera.width - camera.cx) / camera.fx
@@ -92,10 +96,10 @@ def contour_scores(
     return scores, counts
 
 
-def usual_score(scores: Float64Array) -> tuple[float, float]:
-    """Return median and robust standard deviation of the scores (P,) of many poses, equal if no ridge is in view."""
-    middle = float(np.median(scores))
-    return middle, max(1.4826 * float(np.median(np.abs(scores - middle))), _SPREAD)
+def ridge_gain(z: ArrayLike) -> Float64Array:
+    """Return by how much ridges reduce the cost of poses with these robust z-scores among all compared poses."""
+    counted = np.clip(z, 0.0, _MOST_SCORE)
+    return np.asarray(RIDGE_WEIGHT * counted * counted / 2, np.float64)
 
 
 def ridge_strength(
@@ -103,14 +107,14 @@ def ridge_strength(
 ) -> float:
     """Return the strength of edges on the ridges of a pose in multiples of chance; ridges within 8 pixels count as one.
     `step`: radians of azimuth between the contours' points."""
-    around = directions.in_view(pose, camera, _MOST_POINTS)
+    around = directions.in_view(pose, camera, _MOST_SCORED)
     scores, counts = contour_scores(pose.rotation[None], around, camera, edges)
     count = float(counts[0])
     if count < 5:
         return 0.0
     excess = float(scores[0]) * math.sqrt(count + 20.0) / count
     length = count * around.every * step * camera.fx / edges.scale
-    return excess * math.sqrt(length / _ONE_EDGE) / _SPREAD
+    return excess * math.sqrt(length / _ONE_EDGE) / SPREAD
 
 
 @kernel(nogil=True)
@@ -150,6 +154,7 @@ def _scores(
     return scores, counts
 
 
+_WORKING_WIDTH = 1280  # pixels; wider photos are reduced to it
 _BORDER = 0.006  # share of the width within which a skyline beside a hidden area is the border of that area
 _SKY_EDGE = 0.01  # distance from land, share of the width, within which edges are kept; clouds' are further up
 _LEAST_SKY = 0.1  # minimum share of columns that must have a skyline
@@ -164,17 +169,16 @@ class PictureEvidence:
     labels: UInt8Array
     skyline: ImageSkyline | None
     find: Callable[[int], ImageContours]
-    config: ContourConfig
 
     @property
     def edges(self) -> ImageContours:
         """Return the edges to which ridges are fitted."""
-        return self.find(self.config.width)
+        return self.find(_EDGE_WIDTH)
 
     @property
     def coarse_edges(self) -> ImageContours:
         """Return the edges by which poses are compared; tracking a pose does not need them."""
-        return self.find(self.config.coarse_width)
+        return self.find(_COARSE_WIDTH)
 
     @property
     def plants(self) -> float:
@@ -188,7 +192,6 @@ def picture_evidence(
     photo: UInt8Array,
     labels: UInt8Array,
     camera: Camera,
-    config: PicturePoseConfig = PicturePoseConfig(),
     hidden: BoolArray | None = None,
 ) -> PictureEvidence:
     """Return the evidence in a photo (H, W, 3) with labels (H, W), except in `hidden` (H, W). Raises ImageError."""
@@ -196,7 +199,7 @@ def picture_evidence(
     if photo.shape != (*size, 3) or labels.shape != size or (hidden is not None and hidden.shape != size):
         raise ImageError(f"photo {photo.shape}, labels {labels.shape} and camera {size} must have one size (H, W)")
     masked = np.zeros(size, np.uint8) if hidden is None else hidden.astype(np.uint8)
-    width = min(camera.width, config.working_width)
+    width = min(camera.width, _WORKING_WIDTH)
     work = camera.resized(width, max(2, round(camera.height * width / camera.width)))
     shape = (work.width, work.height)
     small = cv2.resize(photo, shape, interpolation=cv2.INTER_AREA) if width < camera.width else photo
@@ -227,7 +230,7 @@ def picture_evidence(
         clear = cv2.erode(sky.astype(np.uint8), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         return image_contours(small, pixels, shut | clear)
 
-    return PictureEvidence(work, ids, skyline if found else None, edges, config.contours)
+    return PictureEvidence(work, ids, skyline if found else None, edges)
 
 
 def _seen_through(ids: UInt8Array, shut: BoolArray) -> UInt8Array:

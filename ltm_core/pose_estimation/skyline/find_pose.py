@@ -29,7 +29,6 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     mean_of_both,
     merged_with_others,
     search_reach,
-    widened_by_others,
 )
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
@@ -42,6 +41,9 @@ from ltm_core.tracing.possible_ground import PossibleGround
 _LEAST_SUPPORT = 0.3
 """Minimum share of the photo's skyline that must lie on the DEM's horizon, unless ridges alone agree. Above trees, and
 if a good skyline leaves two poses open, ridges mislead more often than not."""
+
+_SETTLING_PLANTS = 0.3  # minimum share of plants in the land for a pose to settle; nothing rises above bare ground
+_SETTLED_SIGMA_DEG = 0.3  # maximum sigma of a settled azimuth; less certain poses keep that of skyline and ridges
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +78,9 @@ class SearchTerrain:
         under = places[:, 2] <= self.dem.elevation_at(places[:, 0], places[:, 1])
         return [h for h, bad in zip(hypotheses, under, strict=True) if not bad]
 
-    def horizon_for(self, camera: Camera, prior: PosePrior, config: PicturePoseConfig) -> TerrainHorizon:
+    def horizon_for(self, camera: Camera, prior: PosePrior) -> TerrainHorizon:
         """Return the horizon from the prior position over the range of the search."""
-        reach = search_reach(prior, config)
+        reach = search_reach(prior)
         half = math.radians(camera.hfov_deg) / 2 + reach + math.radians(8.0)
         pixel = math.atan(1 / camera.fx)
         step = max(math.radians(0.04), 0.6 * pixel) if half >= math.pi else max(math.radians(0.02), 0.5 * pixel)
@@ -96,7 +98,7 @@ def find_pose(
 ) -> PictureSearch:
     """Search the pose of an image and judge it. `focal_sigma`: relative; 0 holds it. `horizon`: if it is known already.
     Raises PoseError as `terrain_horizon`."""
-    horizon = terrain.horizon_for(evidence.camera, prior, config) if horizon is None else horizon
+    horizon = terrain.horizon_for(evidence.camera, prior) if horizon is None else horizon
     problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
 
     def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> PictureSearch:
@@ -115,12 +117,12 @@ def find_pose(
     result = judged(found, False)
     if not found or _asks_ridges(result, config.verdict):
         by_ridges = terrain.above(search_ridges(problem))
-        alone = judged(widened_by_others(by_ridges, config.verdict), True)
+        alone = judged(merged_with_others(by_ridges, config.verdict, by_ridges=True), True)
         both = mean_of_both(found[0], alone.hypotheses[0], config.verdict) if found and by_ridges else None
         mean = terrain.above([both]) if both is not None else []
         together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None
         result = _decided(result, alone, together, config.verdict)
-    settles = evidence.plants >= config.settling.least_plants
+    settles = evidence.plants >= _SETTLING_PLANTS
     if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
         result = _settled(result, problem, terrain)
     trend = skyline_bending(result, problem)
@@ -188,7 +190,7 @@ def _settled(found: PictureSearch, problem: PoseProblem, terrain: SearchTerrain)
     best, *others = found.hypotheses
     refined = settled_on_ridges(best.refined, problem)
     kept = terrain.above([replace(best, refined=refined)])
-    if not kept or refined.sigma_deg[0] > problem.config.settling.most_azimuth_sigma_deg:
+    if not kept or refined.sigma_deg[0] > _SETTLED_SIGMA_DEG:
         return found
     return replace(found, hypotheses=(*kept, *others), verdict=replace(found.verdict, sigma_deg=refined.sigma_deg))
 
@@ -231,8 +233,8 @@ def find_pose_and_lens(
     `evidence_of`: evidence in the image by its camera, which undistorts it. Every k1 within two standard deviations is
     searched on the skyline. The best pose is followed to the k1 of least cost. The pose is then searched with that
     lens; poses of other lenses widen it and are alternatives to it. Without a skyline, the lens stays as stated."""
-    horizon = terrain.horizon_for(camera, prior, config)
-    ridges = ContourDirections.of(horizon, config.contours.nearest)
+    horizon = terrain.horizon_for(camera, prior)
+    ridges = ContourDirections.of(horizon)
     middle = camera.distortion[0]
 
     def with_k1(k1: float) -> Camera:
@@ -247,7 +249,7 @@ def find_pose_and_lens(
     def followed(start: _Trial, k1: float) -> _Trial:
         evidence = evidence_of(with_k1(k1))
         pose, work = start.refined.pose, start.refined.camera
-        around = ridges.in_view(pose, work, config.contours.most_points)
+        around = ridges.in_view(pose, work)
         return trial(k1, refine(pose, work, problem(evidence), around))
 
     trials: list[_Trial] = []

@@ -27,10 +27,6 @@ class CrestCover:
     near: Float64Array
     far: Float64Array
 
-    def of(self, labels: UInt8Array) -> Float64Array:
-        """Return (N, 4) of labels (N,): near height and sigma, far height and sigma."""
-        return np.hstack([self.near[labels], self.far[labels]])
-
     def at(self, labels: UInt8Array, ranges: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return heights and sigmas (N,) of crests with these labels at these ranges (N,), metres."""
         far = farness(ranges)[:, None]
@@ -76,55 +72,6 @@ class SkylineConfig:
 
 
 @dataclass(frozen=True)
-class ContourConfig:
-    """Weights of ridges within the scene. Pixels and lengths in pixels are those of an image 640 pixels wide."""
-
-    width: int = 640  # width of the images in which edges are searched
-    coarse_width: int = 320  # width of the images in which poses are compared
-    weight: float = 0.4  # weight of half the square of a pose's robust z-score among all compared poses
-    most: float = 8.0  # maximum robust z-score that counts
-    nearest: float = 150.0  # minimum range of ridges, m; nearer ridges are trees as much as terrain
-    sigma_px: float = 1.2  # standard deviation of an edge
-    outliers: float = 0.5  # share of ridge points whose nearest edge is something else
-    correlation_px: float = 24.0  # length along a ridge within which its errors are fully correlated, pixels
-    correlation: float = 24.0  # the same in metres; the longer of both counts
-    most_points: int = 700  # maximum number of ridge points in a view by which a pose is refined
-
-    def odds(self, search: float) -> float:
-        """Return the ratio as `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
-        return (1 - self.outliers) / self.outliers * 0.75 * search
-
-
-@dataclass(frozen=True)
-class SettlingConfig:
-    """Correlation between neighbouring places of ridges (`pose_refinement.settled_on_ridges`)."""
-
-    least_plants: float = 0.3  # minimum share of plants in the land; nothing rises above the DEM on bare ground
-    share: float = 0.6  # share of the variance of the cover on a ridge that plants of a stand have in common
-    stand: float = 150.0  # correlation length of the stand part, m
-    plant: float = 5.0  # correlation length of the remaining variance, the shape of single plants, m
-    doubt: float = 2.0  # factor on the variance of a pose, because some edges belong to something else
-    most_azimuth_sigma_deg: float = 0.3  # less certain poses keep the solution of skyline and ridges
-    most_points: int = 250  # maximum number of ridge points in a view; all are compared with each other
-
-
-@dataclass(frozen=True)
-class SearchConfig:
-    """Extent of the search for poses. Far ridges are periodic, with one local optimum per peak, and the best pose of
-    the grid need not be the best after refinement: therefore the extra hypotheses."""
-
-    step_deg: float = 0.25
-    wide_step_deg: float = 0.4  # if no heading is known
-    reach_sigmas: float = 4.0
-    least_reach_deg: float = 12.0
-    most_reach_deg: float = 40.0
-    hypotheses: int = 8  # number of best poses that are refined, `apart_deg` or more apart in azimuth
-    apart_deg: float = 1.2
-    extra_hypotheses: int = 6  # number of further poses that are refined, `extra_apart_deg` or more apart
-    extra_apart_deg: float = 0.5
-
-
-@dataclass(frozen=True)
 class VerdictConfig:
     """Criteria for accepting a pose.
 
@@ -163,8 +110,8 @@ class VerdictConfig:
     plants_score: float = 6.0  # minimum score of the ridges there, in multiples of chance
     ridges_variance: float = 1.4  # maximum variance of a visible skyline's misfits if only ridges are used
     contradiction: float = 3.5
-    """Maximum deviation from the prior pose in sigmas of an otherwise good pose. It is below
-    `SearchConfig.reach_sigmas`, because alternatives beyond the edge of the search are unknown."""
+    """Maximum deviation from the prior pose in sigmas of an otherwise good pose. It is below that of the search
+    (`search_reach`), because alternatives beyond its edge are unknown."""
 
     def gap_asked(self, veiled: float, variance: float) -> float:
         """Return the minimum gap if plants may hide this share of the skyline. Misfits of a small `variance` separate
@@ -183,8 +130,4 @@ class PicturePoseConfig:
     """All constants of pose estimation from a photo."""
 
     skyline: SkylineConfig = SkylineConfig()
-    contours: ContourConfig = ContourConfig()
-    settling: SettlingConfig = SettlingConfig()
-    search: SearchConfig = SearchConfig()
     verdict: VerdictConfig = VerdictConfig()
-    working_width: int = 1280  # pixels; wider photos are reduced to it

@@ -1,6 +1,5 @@
 """Set up the search of an image's pose from a guess file, and write the result."""
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,8 +146,3 @@ def figures(search: PictureSearch, result: PoseResult, prior: PosePrior, frame: 
             for h in search.hypotheses
         ],
     }
-
-
-def write_figures_of(path: Path | str, content: Any) -> None:
-    """Write the results as JSON."""
-    Path(path).write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -26,31 +26,31 @@ class Hypothesis:
     about: Pose | None = None
 
 
-def merged_with_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
+def merged_with_others(
+    hypotheses: list[Hypothesis], config: VerdictConfig, by_ridges: bool = False
+) -> list[Hypothesis]:
     """Return the hypotheses with the first pose replaced by the mean of those around it, weighted by cost, with their
-    spread as uncertainty, because a smooth slope fits in many places. Those further away are alternatives."""
+    spread as uncertainty, because a smooth slope fits in many places. By ridges alone no mean fits: the first pose
+    stays, and the distance of the mean adds to its uncertainty. Poses further away are alternatives."""
     if len(hypotheses) < 2:
         return hypotheses
     best, refined = hypotheses[0], hypotheses[0].refined
-    mean, spread = _about_best(hypotheses, config)
-    merged = _moved(refined, mean, refined.covariance + spread)
-    return [replace(best, refined=merged, about=refined.pose), *hypotheses[1:]]
+    changes = np.array([_change(refined, other.refined) for other in hypotheses])
+    azimuths = np.array([angles_between(refined.pose, other.refined.pose)[0] for other in hypotheses])
+    costs = [other.cost for other in hypotheses]
+    mean, spread = mean_about_best(costs, azimuths, changes, refined.skyline.variance, config)
+    covariance = refined.covariance + spread
+    if by_ridges:
+        found = replace(best, refined=replace(refined, covariance=covariance + np.outer(mean, mean)))
+    else:
+        found = replace(best, refined=_moved(refined, mean, covariance), about=refined.pose)
+    return [found, *hypotheses[1:]]
 
 
 def _moved(refined: RefinedPose, step: Float64Array, covariance: Float64Array) -> RefinedPose:
     """Return a pose moved by a step (7,) as in `_change`."""
     pose, camera = turned(refined.pose, step[3:6], step[:3]), refined.camera.zoomed(math.exp(step[6]))
     return replace(refined, pose=pose, camera=camera, covariance=covariance)
-
-
-def widened_by_others(hypotheses: list[Hypothesis], config: VerdictConfig) -> list[Hypothesis]:
-    """Return the hypotheses, the first less sure by the distance of those around it: by ridges alone, no mean fits."""
-    if len(hypotheses) < 2:
-        return hypotheses
-    best = hypotheses[0]
-    mean, spread = _about_best(hypotheses, config)
-    wider = replace(best.refined, covariance=best.refined.covariance + spread + np.outer(mean, mean))
-    return [replace(best, refined=wider), *hypotheses[1:]]
 
 
 def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictConfig) -> Hypothesis | None:
@@ -70,14 +70,6 @@ def mean_of_both(by_skyline: Hypothesis, by_ridges: Hypothesis, config: VerdictC
     covariance[at] = np.linalg.inv(0.5 * (known_a + known_b))
     step[free] = covariance[at] @ (0.5 * known_b @ change[free])
     return replace(by_skyline, refined=_moved(a, step, covariance))
-
-
-def _about_best(hypotheses: list[Hypothesis], config: VerdictConfig) -> tuple[Float64Array, Float64Array]:
-    """Of those about the first, how far their mean is from it (7,), as in `_change`, and their spread about that."""
-    best = hypotheses[0].refined
-    changes = np.array([_change(best, other.refined) for other in hypotheses])
-    azimuths = np.array([angles_between(best.pose, other.refined.pose)[0] for other in hypotheses])
-    return mean_about_best([other.cost for other in hypotheses], azimuths, changes, best.skyline.variance, config)
 
 
 def mean_about_best(
@@ -102,12 +94,12 @@ def _change(a: RefinedPose, b: RefinedPose) -> Float64Array:
     return np.concatenate([b.pose.position - a.pose.position, turn, [math.log(b.camera.fx / a.camera.fx)]])
 
 
-def search_reach(prior: PosePrior, config: PicturePoseConfig) -> float:
-    """Return the range of azimuths about the prior one to search, radians; pi if none is known."""
-    s = config.search
+def search_reach(prior: PosePrior) -> float:
+    """Return the range of azimuths about the prior one to search, radians: four sigmas, 12 to 40 degrees; pi if none is
+    known."""
     if not prior.heading_known:
         return math.pi
-    return math.radians(min(max(s.reach_sigmas * prior.azimuth_sigma_deg, s.least_reach_deg), s.most_reach_deg))
+    return math.radians(min(max(4.0 * prior.azimuth_sigma_deg, 12.0), 40.0))
 
 
 def focal_candidates(focal_sigma: float) -> Float64Array:

@@ -19,17 +19,21 @@ from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
+_EDGE_SIGMA_PX = 1.2  # standard deviation of an edge in pixels at width 640
+
 
 @dataclass(frozen=True, eq=False)
 class PoseProblem:
     """What a pose is fitted by: the evidence in its image, the terrain from the prior position, the prior pose, and the
-    standard deviation of the focal length's logarithm; 0 holds it."""
+    standard deviation of the focal length's logarithm; 0 holds it. `along`: metres, and pixels at width 640, within
+    which errors along a ridge are fully correlated; the longer of both counts."""
 
     evidence: PictureEvidence
     horizon: TerrainHorizon
     prior: PosePrior
     config: PicturePoseConfig
     focal_sigma: float = 0.0
+    along: float = 24.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +183,7 @@ def ridge_observations(
     if len(ridges.range) == 0:
         return None
     evidence, config, origin = problem.evidence, problem.config, problem.horizon.position
-    noise, edges = config.contours, evidence.edges
+    edges = evidence.edges
     pixels, slopes, ahead = _projected(ridges.here, ridges.range, pose, camera, origin)
     shift = (pose.position - origin) / ridges.range[:, None]
     after = (ridges.following - shift) @ pose.rotation
@@ -202,9 +206,9 @@ def ridge_observations(
     pixels = pixels - np.column_stack([np.zeros(len(kept)), (height + lift) * metre])
     found, strength = _nearest_edges(pixels, normal, edges.response, edges.scale, search * unit, 0.5 * edges.scale)
     shared = np.hypot(config.skyline.dem_sigma, cover_sigma) * metre
-    sigma = np.sqrt((noise.sigma_px * unit) ** 2 + (uneven * metre) ** 2 + shared**2)
+    sigma = np.sqrt((_EDGE_SIGMA_PX * unit) ** 2 + (uneven * metre) ** 2 + shared**2)
     step = ridges.every * (np.median(length[length > 0]) if (length > 0).any() else 1.0)
-    correlation = np.maximum(noise.correlation_px * unit, noise.correlation * metre)
+    correlation = problem.along * np.maximum(unit, metre)
     weight = np.minimum(1.0, step / correlation) * np.minimum(strength, 2.0) / 2.0
     rows = np.einsum("mi,mij->mj", normal, slopes)
     away = ridges.here[kept, :2]

@@ -79,17 +79,6 @@ def angle_slopes(pose: Pose) -> Float64Array:
     return np.asarray(np.linalg.pinv(axes_of_angles(pose)), np.float64)
 
 
-def rotations_of(angles_deg: Float64Array) -> Float64Array:
-    """Return (P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
-    a, p, r = np.radians(angles_deg).T
-    zero = np.zeros_like(a)
-    forward = np.stack([np.sin(a) * np.cos(p), np.cos(a) * np.cos(p), np.sin(p)], axis=-1)
-    level_right = np.stack([np.cos(a), -np.sin(a), zero], axis=-1)
-    level_down = np.cross(forward, level_right)
-    c, s = np.cos(r)[:, None], np.sin(r)[:, None]
-    return np.stack([c * level_right + s * level_down, c * level_down - s * level_right, forward], axis=-1)
-
-
 def turned(pose: Pose, rotation: Float64Array, shift: Float64Array | None = None) -> Pose:
     """Return a pose turned by a rotation vector (3,) about the map's axes, and shifted."""
     matrix = matrix_of_vector(rotation) @ pose.rotation

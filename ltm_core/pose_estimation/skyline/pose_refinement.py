@@ -17,7 +17,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
-from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, SettlingConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG
 from ltm_core.pose_estimation.skyline.pose_observations import (
     Observations,
     PoseProblem,
@@ -32,6 +32,7 @@ from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 ROUNDS = ((14.0, 3.0), (10.0, 2.0), (7.0, 1.5), (5.0, 1.0), (4.0, 1.0), (3.0, 1.0), (3.0, 1.0), (3.0, 1.0))
 MOST_FOCAL_STEP = 0.05  # maximum step of the focal length's logarithm in one round
 FEWEST = 6  # minimum number of places of a skyline or of ridges
+_EDGE_OUTLIERS = 0.5  # share of ridge points whose nearest edge is something else
 _TELLING = 0.02  # standard deviation in radians above which a column does not support a pose
 _LEAST_TOLD = 1 / 3  # minimum share of a skyline that the DEM's horizon must cover to count as support
 _MOST_SQUARE = 9.0  # maximum squared error of a column in sigmas; columns further off show something else
@@ -155,13 +156,18 @@ def picture_system(
     normal, gradient, config = 1e-12 * np.eye(7), np.zeros(7), problem.config
     skyline = skyline_observations(pose, camera, problem, wide)
     contours = ridge_observations(pose, camera, problem, ridges, search)
-    for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, config.contours.odds(search))):
+    for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, _edge_odds(search))):
         if rows is None or len(rows.error) < FEWEST:
             continue
         weight = rows.weight * fitting(rows, odds, expected) / rows.sigma**2
         normal += (rows.slopes.T * weight) @ rows.slopes
         gradient += rows.slopes.T @ (weight * rows.error)
     return normal, gradient
+
+
+def _edge_odds(search: float) -> float:
+    """Return the ratio as `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
+    return (1 - _EDGE_OUTLIERS) / _EDGE_OUTLIERS * 0.75 * search
 
 
 def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
@@ -174,17 +180,20 @@ def fitting(rows: Observations, odds: float, expected: bool) -> Float64Array:
 
 
 _ROUNDS = ((5.0, 1.0),) * 3 + ((3.0, 1.0),) * 6  # rounds as in `pose_refinement.ROUNDS`
+_SHARE = 0.6  # share of the variance of the cover on a ridge that plants of a stand have in common
+_STAND, _PLANT = 150.0, 5.0  # correlation lengths of that part, and of the remaining one: the shape of single plants, m
+_DOUBT = 2.0  # factor on the variance of a settled pose, because some edges belong to something else
+_MOST_POINTS = 250  # maximum number of ridge points in a view; all are compared with each other
 _LEAST_FITTING = 0.02  # minimum fit of an edge; others cost time and add nothing
 
 
 def settled_on_ridges(refined: RefinedPose, problem: PoseProblem) -> RefinedPose:
     """Return the image's pose by ridges alone, including the DEM's own horizon; the skyline's fit is kept."""
-    config = problem.config
-    ridges = ContourDirections.of(problem.horizon, config.contours.nearest, with_horizon=True)
-    around = ridges.in_view(refined.pose, refined.camera, config.settling.most_points)
+    ridges = ContourDirections.of(problem.horizon, with_horizon=True)
+    around = ridges.in_view(refined.pose, refined.camera, _MOST_POINTS)
     unseen = replace(problem, evidence=replace(problem.evidence, skyline=None))
     found = refine(refined.pose, refined.camera, unseen, around, _ROUNDS, alone=True)
-    return replace(found, covariance=config.settling.doubt * found.covariance, skyline=refined.skyline)
+    return replace(found, covariance=_DOUBT * found.covariance, skyline=refined.skyline)
 
 
 def ridge_system(
@@ -197,26 +206,26 @@ def ridge_system(
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
     """Return the system as `picture_system`, of ridges alone, with the errors shared by neighbouring places."""
-    normal, gradient, config = 1e-12 * np.eye(7), np.zeros(7), problem.config
+    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     rows = ridge_observations(pose, camera, problem, ridges, search)
     if rows is None:
         return normal, gradient
-    fits = fitting(rows, config.contours.odds(search), expected)
+    fits = fitting(rows, _edge_odds(search), expected)
     kept = np.flatnonzero((rows.weight > 0) & (fits > _LEAST_FITTING))
     if len(kept) < FEWEST:
         return normal, gradient
     rows = rows.only(kept)
-    root = np.linalg.cholesky(shared_covariance(rows, fits[kept], config.settling))
+    root = np.linalg.cholesky(shared_covariance(rows, fits[kept]))
     whitened = solve_triangular(root, np.column_stack([rows.slopes, rows.error]), lower=True, check_finite=False)
     slopes, error = whitened[:, :7], whitened[:, 7]
     return normal + slopes.T @ slopes, slopes.T @ error
 
 
-def shared_covariance(rows: RidgeObservations, fits: Float64Array, config: SettlingConfig) -> Float64Array:
+def shared_covariance(rows: RidgeObservations, fits: Float64Array) -> Float64Array:
     """Return (N, N), px^2, the covariance of the errors of `rows`, larger for those that hardly fit (`fits`, N)."""
     x, y = rows.ground.T
     apart = np.hypot(x[:, None] - x, y[:, None] - y)
-    together = config.share * np.exp(-apart / config.stand) + (1 - config.share) * np.exp(-apart / config.plant)
+    together = _SHARE * np.exp(-apart / _STAND) + (1 - _SHARE) * np.exp(-apart / _PLANT)
     covariance = rows.shared[:, None] * rows.shared * together
     own = rows.sigma**2 - rows.shared**2 + np.maximum(1 / np.maximum(fits, 1e-3) - 1, 0.0) * rows.sigma**2
     covariance[np.diag_indices(len(own))] += own

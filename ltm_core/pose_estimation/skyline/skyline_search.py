@@ -7,8 +7,6 @@ all skylines between it and the bound of that land are alike likely. Where trees
 either is what is seen. Neighbouring columns are alike: all of an image count as a few, and in the fit and its
 covariance those within one correlation length of a crest count as one."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ltm_core.base.kernels import helper, kernel
@@ -36,16 +34,6 @@ H_FARNESS, FRONT_FARNESS = 6, 7  # weight of far cover, 0 to 1
 COST, PITCH, ROLL = 0, 1, 2
 
 
-@dataclass(frozen=True, eq=False)
-class SkylineCosts:
-    """Costs of azimuths (Y,): `cost`, and `pitch`, `roll`: radians to add to those of the given pose."""
-
-    azimuth: Float64Array
-    cost: Float64Array
-    pitch: Float64Array
-    roll: Float64Array
-
-
 def search_azimuths(
     skyline: ImageSkyline,
     camera: Camera,
@@ -54,9 +42,9 @@ def search_azimuths(
     azimuths: Float64Array,
     position_sigma: float,
     config: SkylineConfig,
-) -> SkylineCosts:
-    """Return the costs of azimuths (Y,), radians, of an undistorted camera with the tilt of the prior pose.
-    `position_sigma`: metres."""
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return the costs of azimuths (Y,), radians, of an undistorted camera with the tilt of the prior pose, and the
+    pitch and roll to add to it, radians. `position_sigma`: metres."""
     _, pitch, roll = prior.pose.angles_deg
     x, y = (skyline.u - camera.cx) / camera.fx, (skyline.v - camera.cy) / camera.fy
     rays = np.column_stack([x, y, np.ones(len(x))])
@@ -64,8 +52,8 @@ def search_azimuths(
     small = 0.05
     by_pitch = (_level(rays, pitch + small, roll)[1] - tangent) / np.radians(small)
     by_roll = (_level(rays, pitch, roll + small)[1] - tangent) / np.radians(small)
-    cover = config.cover.of(skyline.cover)
-    columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, cover])
+    near, far = config.cover.near[skyline.cover], config.cover.far[skyline.cover]
+    columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, near, far])
     step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
     h, share = horizon, column_weight(skyline, camera, config.independent)
     crests = [h.tangent, h.range, h.cell, h.bound, h.front_tangent, h.front_range]
@@ -74,7 +62,7 @@ def search_azimuths(
     c = config
     noise = np.array([c.dem_sigma, c.cell_share, c.cell_lift, c.correlation, c.odds, share, c.own_crest])
     out = _search(columns, np.column_stack(crests), h.start, h.step, h.whole, azimuths, setting, noise)
-    return SkylineCosts(azimuths, out[:, COST], out[:, PITCH], out[:, ROLL])
+    return out[:, COST], out[:, PITCH], out[:, ROLL]
 
 
 def column_weight(skyline: ImageSkyline, camera: Camera, independent: float) -> float:

@@ -120,7 +120,7 @@ def run_real_trials(
     true, camera, config = real.points.pose, real.points.camera, PicturePoseConfig()
     if focal_free:
         camera = replace(camera, fx=real.stated.fx, fy=real.stated.fy)
-    evidence = picture_evidence(real.photo, labels, camera, config)
+    evidence = picture_evidence(real.photo, labels, camera)
     dem, tracer = real.terrain.dem, TerrainTracer(real.terrain.dem)
     trials = []
     for k in range(STARTS):

@@ -102,7 +102,7 @@ def _evidence_of(
 ) -> Callable[[Camera], PictureEvidence]:
     @lru_cache(maxsize=64)
     def evidence(camera: Camera) -> PictureEvidence:
-        return picture_evidence(photo, labels, camera, config)
+        return picture_evidence(photo, labels, camera)
 
     return evidence
 

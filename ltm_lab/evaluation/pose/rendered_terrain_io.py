@@ -107,9 +107,9 @@ def prepared(
 ) -> PreparedFrame:
     """Return a frame with its evidence, from the (H, W) labels that the search gets."""
     begin = time.process_time()
-    evidence = picture_evidence(frame.photo, labels, frame.camera, config)
+    evidence = picture_evidence(frame.photo, labels, frame.camera)
     spent = time.process_time() - begin
-    horizon = terrain.horizon_for(evidence.camera, PosePrior(frame.pose, 1.0), config)
+    horizon = terrain.horizon_for(evidence.camera, PosePrior(frame.pose, 1.0))
     half = math.radians(frame.camera.hfov_deg) / 2
     away = (horizon.azimuths - math.radians(frame.pose.angles_deg[0]) + math.pi) % (2 * math.pi) - math.pi
     return PreparedFrame(number, frame, evidence, float(horizon.open[np.abs(away) < half].mean()), spent)

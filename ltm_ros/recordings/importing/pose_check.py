@@ -87,7 +87,7 @@ class Placement:
         if z <= ground:
             return doubt_of_height(z, ground)
         if lowest > 0:
-            horizon = SearchTerrain(self.dem, self.bend).horizon_for(camera, PosePrior(pose, 1.0), PicturePoseConfig())
+            horizon = SearchTerrain(self.dem, self.bend).horizon_for(camera, PosePrior(pose, 1.0))
             known = horizon.tangent[horizon.range > 0]
             if known.size and math.degrees(math.atan(float(known.max()))) < lowest:
                 return f"it looks {pitch:.0f} deg up, above all terrain, only at the sky"
@@ -98,11 +98,11 @@ class Placement:
         if self.dem is None or photo.shape[:2] != (placed.camera.height, placed.camera.width):
             return None
         config = PicturePoseConfig()
-        evidence = picture_evidence(photo, labels, placed.camera, config)
+        evidence = picture_evidence(photo, labels, placed.camera)
         if evidence.skyline is None:
             return None
         prior = PosePrior(placed.pose, 1.0)
-        horizon = SearchTerrain(self.dem, self.bend).horizon_for(evidence.camera, prior, config)
+        horizon = SearchTerrain(self.dem, self.bend).horizon_for(evidence.camera, prior)
         return skyline_fit(placed.pose, evidence.camera, PoseProblem(evidence, horizon, prior, config))
 
 

@@ -149,7 +149,7 @@ class PoseRefinement:
         doubt = doubt_of_sky(labels, seen.hidden)
         if doubt is not None:
             raise ImageError(doubt)
-        evidence = picture_evidence(photo, labels, item.camera, self._config, seen.hidden)
+        evidence = picture_evidence(photo, labels, item.camera, seen.hidden)
         search = find_pose(evidence, self._terrain, prior, self._config)
         result, found = result_of(search, prior, item.camera), Refinement(search.verdict.word, search.verdict.reason)
         if not result.accepted:

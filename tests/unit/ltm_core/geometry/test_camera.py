@@ -21,15 +21,9 @@ def test_from_fov_spans_the_outer_edges() -> None:
     )
 
 
-def test_rays_of_a_pinhole() -> None:
-    camera = Camera(5, 3, 2.0, 4.0, 1.0, 2.0)
-    rays = camera.rays()
-    assert rays.shape == (3, 5, 3)
-    np.testing.assert_allclose(rays[2, 1], [0.0, 0.0, 1.0])
-    # Pixel (u, v) = (3, 0): x right (3 - 1) / 2, y down (0 - 2) / 4.
-    np.testing.assert_allclose(rays[0, 3], np.array([1.0, -0.5, 1.0]) / 1.5)
+def test_rays_are_shared_and_so_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        rays[0, 0, 0] = 1.0
+        Camera(5, 3, 2.0, 4.0, 1.0, 2.0).rays()[0, 0, 0] = 1.0
 
 
 def test_project() -> None:

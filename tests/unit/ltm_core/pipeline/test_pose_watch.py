@@ -3,20 +3,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from scenes.mountain_view import CAMERA, eye, mountains, view
+from scenes.mountain_view import CAMERA, TRUE, eye, view, write_site
 
 from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pipeline.pose_watch import FRAMES, PoseWatch
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 
 pytestmark = pytest.mark.kernel
 
-ORIGIN = (380_000.0, 3_800_000.0)
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 MINUTE_NS = 60 * 10**9
 
 
@@ -27,13 +23,7 @@ def labels() -> UInt8Array:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("site")
-    dem = mountains()
-    Dem(dem.elevation, dem.geometry.translated(*ORIGIN, "EPSG:32611")).save(folder / "dem.tif")
-    content = {"name": "ridge", "crs": "EPSG:32611", "origin": list(ORIGIN), "dem": {"path": "dem.tif"}}
-    content |= {"possible_ground": {"highest": -10000.0}, "cameras": {"north": {}}}
-    (folder / "site.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    return folder / "site.yaml"
+    return write_site(tmp_path_factory.mktemp("site"), cameras={"north": {}})
 
 
 def known(pose: Pose, angle_deg: float) -> Float64Array:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
-from scenes.mountain_view import BEND, PLACE, eye, mountains, view
+from scenes.mountain_view import BEND, ORIGIN, PLACE, eye, view, write_site
 from scenes.networks import write_classifier
 from scenes.small_site import PAINT, SKY
 from typer.testing import CliRunner
@@ -15,35 +15,22 @@ from ltm_core.base.types import Float64Array, UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.zoom_lens import LensConfig
 from ltm_core.pose_estimation.mount.mount_model import MountModel
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.footprint import pixel_rays
 from ltm_core.vision.labels import Label
 from ltm_ros.cli.main import cli
 
-ORIGIN = (380_000.0, 3_800_000.0)
 TABLE = [{"zoom": 1.0, "hfov_deg": 52.0}, {"zoom": 400.0, "hfov_deg": 26.0}]
 LENS = LensConfig.model_validate({"width": 480, "height": 300, "zoom": TABLE}).lens()
 TRUE = MountModel(Pose.from_angles(eye(), 63.0, 0.7, -0.4), math.radians(0.3), np.zeros((7, 7)))
 
 
-def write_site(folder: Path, **mount: object) -> Path:
-    dem = mountains()
-    Dem(dem.elevation, dem.geometry.translated(*ORIGIN, "EPSG:32611")).save(folder / "dem.tif")
+def mounted_site(folder: Path, **mount: object) -> Path:
     known = {"x": ORIGIN[0] + PLACE[0], "y": ORIGIN[1] + PLACE[1], "height_above_ground": 12.0, "azimuth_deg": 64.5}
     known |= {"position_sigma": 0.01, "height_sigma": 0.01}
-    site = {
-        "name": "ridge",
-        "crs": "EPSG:32611",
-        "origin": list(ORIGIN),
-        "dem": {"path": "dem.tif"},
-        "possible_ground": {"highest": -10000.0},
-        "cameras": {"north": {"mount": known | {"lens": {"width": 480, "height": 300, "zoom": TABLE}} | mount}},
-    }
-    path = folder / "site.yaml"
-    path.write_text("# The ridge.\n" + yaml.safe_dump(site, sort_keys=False), encoding="utf-8")
-    return path
+    lens = {"lens": {"width": 480, "height": 300, "zoom": TABLE}}
+    return write_site(folder, cameras={"north": {"mount": known | lens | mount}})
 
 
 def landmarks(path: Path, pans: tuple[float, ...], lens_factor: float = 1.0) -> Path:
@@ -86,7 +73,7 @@ def errors_deg(site: Site, tilt: float = -2.0) -> list[float]:
 
 
 def test_landmarks_of_several_presets_calibrate_the_head_in_the_site_file(tmp_path: Path) -> None:
-    path = write_site(tmp_path)
+    path = mounted_site(tmp_path)
     assert max(errors_deg(load_site(path))) > 1.0
     points = landmarks(tmp_path / "points.csv", (10.0, 100.0, 190.0, 280.0), lens_factor=1.03)
     said = run(path, "north", "--points", points)
@@ -127,7 +114,7 @@ def painted(pose: Pose) -> UInt8Array:
 
 @pytest.mark.slow
 def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
-    path = write_site(tmp_path)
+    path = mounted_site(tmp_path)
     path = with_mast(path, write_classifier(tmp_path))
     lines = ["name,pan_deg,tilt_deg,zoom"]
     for k, pan in enumerate((0.0, 85.0, 175.0, 270.0)):
@@ -151,6 +138,6 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_told(tmp_path: Path, arguments: list[str], told: str) -> None:
-    places = {"site": write_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
+    places = {"site": mounted_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
     with pytest.raises(LtmError, match=told):
         run(*(argument.format(**places) for argument in arguments))

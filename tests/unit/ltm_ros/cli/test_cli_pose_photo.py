@@ -7,27 +7,21 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
-from scenes.mountain_view import CAMERA, eye, mountains, view
+from scenes.mountain_view import CAMERA, ORIGIN, TRUE, eye, view, write_site
 from typer.testing import CliRunner
 
 from ltm_core.base.errors import LtmError
 from ltm_core.geometry.pose import Pose
-from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_core.vision.labels import Label
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli.main import cli
 
-CRS = "EPSG:32611"
-ORIGIN = (380_000.0, 3_800_000.0)
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
-
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("photo")
-    dem = mountains()
-    Dem(dem.elevation, dem.geometry.translated(*ORIGIN, CRS)).save(folder / "dem.tif")
+    write_site(folder)
     photo, labels = view(TRUE)
     (folder / "photos").mkdir()
     Image.fromarray(photo).save(folder / "photos" / "a.png")

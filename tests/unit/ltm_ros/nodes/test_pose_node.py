@@ -4,14 +4,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scenes.mountain_view import CAMERA, eye, mountains, view
+from scenes.mountain_view import CAMERA, view, write_site
+from scenes.mountain_view import TRUE as STATED
 from scenes.outlets import Kept
 
-from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose, pose_covariance
+from ltm_core.geometry.pose import pose_covariance
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.image import image_to_msg
 from ltm_msgs_py.pose import correction_to_msg, msg_to_covariance, msg_to_pose, msgs_to_correction, pose_to_msg
@@ -36,32 +35,15 @@ from ltm_ros.runtime.topics import (
     STATED_POSE,
 )
 
-ORIGIN = (480_000.0, 4_150_000.0)
 STAMP = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
-STATED = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 TRUE = turned(STATED, np.radians([0.3, -0.25, -1.2]))
 COVARIANCE = pose_covariance(STATED, 0.4, 0.7, 1.5, 0.5, 0.5)
 
 
-def write_site(folder: Path, **refine: Any) -> str:
-    place = mountains().geometry
-    there = GridGeometry(
-        ORIGIN[0] + place.x_min, ORIGIN[1] + place.y_max, place.resolution, place.width, place.height, "EPSG:26911"
-    )
-    Dem(mountains().elevation, there).save(folder / "dem.tif")
-    content = {
-        "name": "rim",
-        "crs": "EPSG:26911",
-        "origin": list(ORIGIN),
-        "dem": {"path": "dem.tif"},
-        "possible_ground": {"highest": -1000.0},
-        "cameras": {"mast": {"image": "raw"}},
-    }
-    path = folder / "site.yaml"
+def refined_site(folder: Path, **refine: Any) -> str:
     more = {"refine_poses": {}, "expert": {"refine_poses": refine}} if refine else {}
-    path.write_text(yaml.safe_dump(content | more))
-    return str(path)
+    return str(write_site(folder, name="rim", cameras={"mast": {"image": "raw"}}, **more))
 
 
 def show(node: PoseHandler, stamp: int) -> None:
@@ -76,7 +58,7 @@ def show(node: PoseHandler, stamp: int) -> None:
 
 
 def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
-    site, kept, health = write_site(tmp_path, every=10.0, gather=2), Kept(), Health()
+    site, kept, health = refined_site(tmp_path, every=10.0, gather=2), Kept(), Health()
     node = PoseHandler(PoseKeepingConfig(site=site, camera="mast"), kept, health)
     show(node, STAMP)
     show(node, STAMP + 3 * SECOND)  # too soon to be looked at
@@ -114,7 +96,7 @@ def test_what_is_found_reaches_the_frames(tmp_path: Path) -> None:
 
 def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
     """And told before the first picture where the site states the calibration; under other terms it is not used."""
-    site = Path(write_site(tmp_path, every=10.0, gather=2))
+    site = Path(refined_site(tmp_path, every=10.0, gather=2))
     folder = tmp_path / "state"
     calibration = {"width": CAMERA.width, "height": CAMERA.height, "fx": CAMERA.fx}
 
@@ -162,7 +144,7 @@ def test_what_is_found_is_kept_over_a_restart(tmp_path: Path) -> None:
 
 def test_the_correction_is_fed_back_within_a_graph(tmp_path: Path) -> None:
     """Which ends in order all the same: what is latched holds up nobody's end."""
-    site = write_site(tmp_path, every=0.0, gather=2)
+    site = refined_site(tmp_path, every=0.0, gather=2)
     offline = OfflineGraph(describe(load_site(site), site))
     truth = PoseCorrection(np.array([0.0, 0.0, 0.02]), np.diag([1e-6, 1e-6, 1e-6]))
     offline.feed("/rim/mast/pose/correction", correction_to_msg(truth, STAMP), STAMP)

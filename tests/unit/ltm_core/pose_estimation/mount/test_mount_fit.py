@@ -3,15 +3,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes.mountain_view import CAMERA, eye, terrain, view
+from scenes.mountain_view import CAMERA, TRUE, eye, terrain, view
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount, widened
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
-
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 
 
 @cache

@@ -1,17 +1,18 @@
 import numpy as np
 import pytest
-from scenes.mountain_view import CAMERA, eye, terrain, view
+from scenes.mountain_view import CAMERA, TRUE, eye, terrain, view
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
-from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
+from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch, clearer_turn
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
-from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.vision.labels import UNLABELLED
 
 CONFIG = PoseRefinementConfig(every=0.0, gather=3, most_gathered=5)
-STATED = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+SEARCH, STATED = PicturePoseConfig(), TRUE
 OFF = np.radians([0.35, -0.2, -1.3])
 """By which the mount is turned about the map's axes against what is stated."""
 
@@ -93,3 +94,23 @@ def test_poses_that_pictures_contradict_are_told_and_of_no_use() -> None:
     assert not watch.correction.known
     assert "sigmas" in watch.reason
     assert "+6.0" in watch.reason  # azimuth counts clockwise
+
+
+def clearer(true: Pose) -> Pose | None:
+    """By a picture of a camera that is believed to stand as before."""
+    evidence, known = picture_evidence(*view(true), CAMERA), PosePrior(STATED, 1.0, 1.0, 1.0)
+    assert evidence.skyline is not None
+    horizon = terrain().horizon_for(CAMERA, known)
+    return clearer_turn(evidence.skyline, CAMERA, known, horizon, SEARCH.skyline)
+
+
+@pytest.mark.parametrize("turned_deg", [-1.5, 1.0, 1.75])
+def test_a_turn_is_seen_on_its_side(turned_deg: float) -> None:
+    true = Pose.from_angles(eye(), 63.0 + turned_deg, 2.2, 1.4)
+    found = clearer(true)
+    assert found is not None
+    assert np.degrees(np.abs(angles_between(true, found))).max() < 0.3
+
+
+def test_a_camera_that_was_not_turned_is_left_alone() -> None:
+    assert clearer(Pose.from_angles(eye(), 63.1, 2.4, 1.2)) is None

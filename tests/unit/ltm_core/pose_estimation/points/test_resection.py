@@ -162,7 +162,7 @@ def test_what_the_dem_says_of_each_point() -> None:
     said = dict(zip(places, map(str, traced.states), strict=True))
     assert said == {
         "on the ground": "seen",
-        "in the ground": "below its surface",
+        "in the ground": "hidden",
         "behind the wall": "hidden",
         "buried behind the wall": "hidden",
         "on a pole on the wall": "above its surface",

@@ -3,23 +3,19 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes.mountain_view import BEND, CAMERA, eye, mountains, terrain, view
+from scenes.mountain_view import CAMERA, OPEN, PRIOR, TRUE, terrain, view
 
 from ltm_core.base.types import UInt8Array
-from ltm_core.geometry.pose import Pose, pose_sigmas
+from ltm_core.geometry.pose import pose_sigmas
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
-from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import settled_on_ridges, skyline_fit
-from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
-PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
-OPEN = SearchTerrain(mountains(), BEND, PossibleGround())
 CONFIG = PicturePoseConfig()
 
 
@@ -75,7 +71,7 @@ def test_where_nothing_lies_beyond_it_is_misfit() -> None:
     picture = view(TRUE)
     with_range_behind(picture, slice(0, 260), 14)
     evidence = picture_evidence(*picture, CAMERA)
-    horizon = terrain().horizon_for(evidence.camera, PRIOR, CONFIG)
+    horizon = terrain().horizon_for(evidence.camera, PRIOR)
     fit = skyline_fit(TRUE, evidence.camera, PoseProblem(evidence, horizon, PRIOR, CONFIG))
     assert fit.open == 0.0
     assert fit.support < 0.6

@@ -1,17 +1,14 @@
 import numpy as np
 import pytest
-from scenes.mountain_view import BEND, CAMERA, eye, view
+from scenes.mountain_view import BEND, CAMERA, TRUE, view
 
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.image_edges import image_skyline
 from ltm_core.pose_estimation.skyline.terrain_horizon import terrain_horizon
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND, PossibleGround
 from ltm_core.vision.labels import Label
-
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 
 
 def test_a_caption_and_a_corner_do_not_cover_the_sky_and_a_mast_is_no_skyline() -> None:

@@ -1,19 +1,23 @@
 from dataclasses import replace
 
 import numpy as np
-from scenes.mountain_view import CAMERA, eye, terrain, view
+import pytest
+from scenes.mountain_view import CAMERA, TRUE, terrain, view
 
+from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
-from ltm_core.pose_estimation.skyline.find_pose import find_pose
+from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
+from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
+from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, result_of
+from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.vision.labels import Label
 
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
+NEAR = PosePrior(Pose.from_angles(TRUE.position, 63.4, 2.3, 1.0), 1.5, 0.6, 0.6)
 
 
 def test_a_disturbed_pose_is_found_again() -> None:
@@ -70,3 +74,28 @@ def test_a_lens_s_distortion_is_taken_out() -> None:
     prior = PosePrior(Pose.from_angles(TRUE.position, 64.2, 2.2, 1.0), 1.5, 0.5, 0.5)
     search = find_pose(picture_evidence(photo, labels, bent), terrain(), prior)
     assert np.abs(np.degrees(angles_between(TRUE, search.hypotheses[0].refined.pose))).max() < 0.12
+
+
+def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
+    """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
+    horizon = terrain().horizon_for(evidence.camera, NEAR)
+    rows = skyline_observations(TRUE, evidence.camera, PoseProblem(evidence, horizon, NEAR, PicturePoseConfig()), 1.0)
+    assert rows is not None
+    assert evidence.skyline is not None
+    v = evidence.skyline.v + sigmas * np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0) * rows.sigma
+    return replace(evidence, skyline=replace(evidence.skyline, v=v))
+
+
+def sigmas(search: PictureSearch) -> Float64Array:
+    return np.asarray(np.sqrt(np.diag(search.hypotheses[0].refined.covariance)[3:6]), np.float64)
+
+
+def test_misfits_of_the_stated_size_change_nothing_and_twice_as_large_ones_make_a_pose_less_sure() -> None:
+    exact = picture_evidence(*view(TRUE), CAMERA)
+    found = {size: find_pose(uneven(exact, size), terrain(), NEAR) for size in (0.0, 1.0, 2.0)}
+    variance = {size: search.hypotheses[0].refined.skyline.variance for size, search in found.items()}
+    assert variance[0.0] < 0.5
+    assert variance[1.0] == pytest.approx(1.0, abs=0.25)
+    assert 2.0 < variance[2.0] < 4.0  # the square of 2, and two places of what is stated beside
+    assert (sigmas(found[0.0]) < sigmas(found[1.0])).all()
+    assert (sigmas(found[2.0]) > 1.2 * sigmas(found[1.0])).all()

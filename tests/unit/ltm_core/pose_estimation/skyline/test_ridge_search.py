@@ -1,28 +1,27 @@
 import numpy as np
-from scenes.mountain_view import BEND, CAMERA, eye, mountains, view
+from scenes.mountain_view import CAMERA, OPEN, PRIOR, TRUE, view
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
-from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
+from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
+from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit, settled_on_ridges
 from ltm_core.pose_estimation.skyline.pose_search import search_ridges
-from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.vision.labels import Label
 
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
-PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
-OPEN = SearchTerrain(mountains(), BEND, PossibleGround())
 CONFIG = PicturePoseConfig()
 
 
-def best_of(picture: tuple[UInt8Array, UInt8Array]) -> Hypothesis:
+def problem_of(picture: tuple[UInt8Array, UInt8Array]) -> PoseProblem:
     evidence = picture_evidence(*picture, CAMERA)
-    horizon = OPEN.horizon_for(evidence.camera, PRIOR, CONFIG)
-    return search_ridges(PoseProblem(evidence, horizon, PRIOR, CONFIG))[0]
+    return PoseProblem(evidence, OPEN.horizon_for(evidence.camera, PRIOR), PRIOR, CONFIG)
+
+
+def best_of(picture: tuple[UInt8Array, UInt8Array]) -> Hypothesis:
+    return search_ridges(problem_of(picture))[0]
 
 
 def off_deg(hypothesis: Hypothesis) -> np.ndarray:
@@ -46,3 +45,11 @@ def test_among_plants_crests_stand_over_the_dem_by_what_labels_say() -> None:
     by_trees, by_ground = off_deg(best_of((photo, wooded)))[1], off_deg(best_of((photo, bare)))[1]
     assert by_trees < 0.1
     assert by_ground > 0.15
+
+
+def test_a_pose_a_little_aside_settles_where_the_ridges_are() -> None:
+    pose = turned(TRUE, np.radians([-0.045, 0.0, -0.15]))
+    start = RefinedPose(pose, CAMERA, np.zeros((7, 7)), -50.0, SkylineFit(support=0.7))
+    settled = settled_on_ridges(start, problem_of(view(TRUE)))
+    assert np.abs(np.degrees(angles_between(TRUE, settled.pose))).max() < 0.05
+    assert settled.skyline == SkylineFit(support=0.7)

@@ -3,7 +3,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scenes.mountain_view import CAMERA, eye, terrain, view
+from scenes.mountain_view import CAMERA, PRIOR, TRUE, terrain, view
 
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
@@ -11,10 +11,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, pic
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
 from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
-from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
-
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
-PRIOR = PosePrior(Pose.from_angles(TRUE.position, 64.4, 2.1, 0.8), 1.5, 0.5, 0.5)
+from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
 
 
 @cache

@@ -3,24 +3,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
-from scenes.mountain_view import CAMERA, eye, mountains, view
+from scenes.mountain_view import CAMERA, ORIGIN, TRUE, view, write_site
 from scenes.phone_site import imported
 
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
-from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.vision.labels import Label
 from ltm_ros.recordings.importing.assumptions import Assumptions
 from ltm_ros.recordings.importing.build import import_photos
 from ltm_ros.recordings.importing.refinement import CompassError, PoseRefinement
-
-ORIGIN = (480_000.0, 4_150_000.0)
-TRUE = Pose.from_angles(eye(), 63.0, 2.5, 1.2)
 
 
 @pytest.fixture(scope="module")
@@ -30,18 +25,7 @@ def photo_and_labels() -> tuple[UInt8Array, UInt8Array]:
 
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
-    dem = mountains()
-    Dem(dem.elevation, dem.geometry.translated(*ORIGIN, "EPSG:26911")).save(tmp_path / "dem.tif")
-    content = {
-        "name": "walk",
-        "crs": "EPSG:26911",
-        "origin": list(ORIGIN),
-        "dem": {"path": "dem.tif"},
-        "possible_ground": {"highest": -10_000.0},
-        "cameras": {"phone": {}},
-    }
-    (tmp_path / "site.yaml").write_text(yaml.safe_dump(content))
-    return load_site(tmp_path / "site.yaml")
+    return load_site(write_site(tmp_path, name="walk", cameras={"phone": {}}))
 
 
 def imported_photo(
