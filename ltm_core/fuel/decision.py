@@ -108,12 +108,12 @@ class ChangeDecision:
         touched: BoolArray,
         cells: CellEvidence,
         now_s: float,
-        company: UInt8Array | None = None,
+        company: UInt8Array | None,
     ) -> FuelLayers:
-        """Return the layers of a part of the grid, except `last_seen` and `seen_by`, which are zero; within `reach_of`
-        an inner edge they may be those of a map that ends there. `codes`: (H, W) of the prior. `cells`: evidence of the
-        `touched` (H, W) cells, in row-major order. `company`: (H, W) life forms of cells that have changed for other
-        reasons than evidence, 0 none."""
+        """Return the layers of a part of the grid, except `last_seen` and `seen_by`, which are zero; near an inner edge
+        (`EvidenceMap.reached_from`) they may be those of a map that ends there. `codes`: (H, W) of the prior. `cells`:
+        evidence of the `touched` (H, W) cells, in row-major order. `company`: (H, W) life forms of cells that have
+        changed for other reasons than evidence, 0 none."""
         index = np.where((codes >= 0) & (codes < 256), codes, 0)
         known = self._known[index]
         _, form, p_max, entropy = (values[index] for values in self._untouched)
@@ -221,10 +221,10 @@ def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: Fue
     """Return the layers for a map of label classes (H, W), 255 unseen, which are taken as certain. For maps without
     evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code."""
     codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
-    rules = FusionRules(min_interval_s=0.0, min_cells=1, support=0.0)
+    rules = FusionRules(min_interval_s=0.0, support=0.0)
     seen = (classes >= 1) & (classes <= FORMS)
     certain = np.zeros((int(seen.sum()), FORMS))
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0
     shown = (certain > 0).astype(np.uint32)
     cells = CellEvidence(certain, certain, shown, shown, 2 * shown.astype(np.int64), np.zeros(len(certain), np.uint32))
-    return ChangeDecision(system_of(prior), rules, climate).decide(codes, seen, cells, 0.0)
+    return ChangeDecision(system_of(prior), rules, climate).decide(codes, seen, cells, 0.0, None)

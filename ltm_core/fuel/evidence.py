@@ -7,13 +7,14 @@ query, so that frames may come late and in any order. docs/how/fuel.md has the m
 
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import ImageError, RasterError
-from ltm_core.base.types import BoolArray, UInt8Array
+from ltm_core.base.types import BoolArray, Int16Array, UInt8Array
 from ltm_core.fuel.codes import FuelClimate
 from ltm_core.fuel.decision import CellEvidence, ChangeDecision, FuelLayers
 from ltm_core.fuel.evidence_kernel import accumulate, pooled
@@ -21,7 +22,7 @@ from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import ALIKE, FLOOR, UNMEASURED, LabelErrors
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.fuel.rules import FusionRules, reach_of
+from ltm_core.fuel.rules import FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store_schema import Field
@@ -61,6 +62,11 @@ EVIDENCE_FIELDS: Final[Mapping[str, Field]] = {
 """State of a cell. Seconds count from 1970; a tile is an array of each field, (tile, tile, *shape)."""
 
 
+SURFACE_KINDS: Final = 1000
+"""Factor of a cell's recorded surface change: the kind of change times this, plus the code from which the cell starts
+since then (0: that of its prior)."""
+
+
 def camera_hash(source: str) -> int:
     """Return the identifier of a camera in cells: CRC-32 of its name, never 0."""
     return zlib.crc32(source.encode()) or 1
@@ -68,7 +74,8 @@ def camera_hash(source: str) -> int:
 
 class EvidenceMap:
     """Accumulate the votes of frames, which must be on the fuel grid `geometry`, and derive the fuel map from them and
-    the prior. Raises RasterError for a prior on another grid.
+    the prior, which the code of what stands there now replaces where the surface has changed. Raises RasterError for a
+    prior on another grid.
 
     Args:
         prior: the map that evidence starts from; None: nothing is known, each life form is as likely.
@@ -91,7 +98,10 @@ class EvidenceMap:
         if prior is not None and prior.codes.shape != geometry.shape:
             raise RasterError(f"the prior is {prior.codes.shape} cells, the fuel grid {geometry.shape}")
         self.geometry = geometry
-        self.prior = prior
+        self.prior = self._given = prior
+        self._codes: Int16Array = np.full(geometry.shape, NODATA, np.int16) if prior is None else prior.codes
+        self.surface_changes = np.zeros(geometry.shape, np.int32)
+        """(H, W): recorded surface change of each cell (`SURFACE_KINDS`), 0 for none."""
         self.rules = rules if rules is not None else FusionRules()
         self.climate = climate if climate is not None else FuelClimate.named("dry")
         self.newest_ns = 0
@@ -159,28 +169,39 @@ class EvidenceMap:
     def reached_from(self, window: Window) -> Window:
         """Return the part of the grid whose layers depend on evidence in a window."""
         row, col, height, width = window
-        reach = reach_of(self.rules)
+        reach = self.rules.support_cells + 1
         top, left = max(row - reach, 0), max(col - reach, 0)
         bottom, right = min(row + height + reach, self.geometry.height), min(col + width + reach, self.geometry.width)
         return top, left, bottom - top, right - left
 
     def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """Return the map, or a part of it, at a time; by default that of the latest frame."""
+        """Return the map, or a part of it, at a time; by default that of the latest frame. Its `prior` is the initial
+        one, also where the surface has changed."""
         wanted = window or (0, 0, *self.geometry.shape)
-        self._slices(wanted)  # checks it
+        initial = self._codes[self._slices(wanted)].copy()
         around = self.reached_from(wanted)
         row, col = wanted[0] - around[0], wanted[1] - around[1]
-        return self._layers(around, at_ns).part(row, col, wanted[2], wanted[3])
+        return replace(self._layers(around, at_ns).part(row, col, wanted[2], wanted[3]), prior=initial)
 
-    def changed_otherwise(self, window: Window) -> UInt8Array | None:
-        """Return (h, w) life forms of cells that changed for reasons other than evidence, 0 none; None: no such
-        cell."""
-        return None
+    @property
+    def change_kinds(self) -> UInt8Array:
+        """Return (H, W) ChangeKind of the recorded surface changes."""
+        return (self.surface_changes // SURFACE_KINDS).astype(np.uint8)
+
+    def recall(self, recorded: NDArray[np.integer]) -> None:
+        """Put back what `surface_changes` was, (H, W)."""
+        self.surface_changes = recorded.astype(np.int32)
+        starts = self.surface_changes % SURFACE_KINDS
+        codes = np.where(starts > 0, starts, self._codes).astype(np.int16)
+        if self._given is not None:
+            self.prior = replace(self._given, codes=codes)
+        else:
+            self.prior = FuelPrior(codes, self.geometry) if (starts > 0).any() else None
 
     def _layers(self, window: Window, at_ns: int | None) -> FuelLayers:
         part = self._slices(window)
         state = {name: array[part] for name, array in self._state.items()}
-        codes = np.full(state["last_seen"].shape, NODATA, np.int16) if self.prior is None else self.prior.codes[part]
+        codes = (self._codes if self.prior is None else self.prior.codes)[part]
         now = (self.newest_ns if at_ns is None else at_ns) / 1e9
         touched = (state["last_seen"] > 0) | (state["burned_at"] > 0)
         alike = self._correlation.between_frames, self._correlation.between_views
@@ -198,7 +219,11 @@ class EvidenceMap:
             cameras=(state["camera_hashes"][touched] > 0).sum(axis=-1),
             burned_at=state["burned_at"][touched],
         )
-        layers = self._decider.decide(codes, touched, cells, now, self.changed_otherwise(window))
+        starts = (self.surface_changes[part] % SURFACE_KINDS).astype(np.int16)
+        by_surface = None
+        if starts.any():
+            by_surface = np.where(starts > 0, forms_of(starts).argmax(axis=-1) + 1, 0).astype(np.uint8)
+        layers = self._decider.decide(codes, touched, cells, now, by_surface)
         layers.last_seen[...] = state["last_seen"].astype(np.int64) * 10**9
         layers.seen_by[...] = (state["seen_by"] > 0).sum(axis=-1)
         return layers

@@ -1,8 +1,9 @@
 """Configure the fuel map (the constants of evidence and decision), and apply those about regions of changed cells."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from ltm_core.base.strict_model import StrictModel
@@ -70,18 +71,11 @@ class FusionRules(StrictModel):
     support_cells: int = Field(4, ge=0, le=16)
     """Distance in cells, to each side, within which confident cells support each other; with 30 m cells, a square of
     270 m."""
-    grow_cells: int = Field(6, ge=0, le=32)
-    """Maximum number of steps by which a supported region grows over connected cells."""
     fill_cells: int = Field(5, ge=4, le=8)
     """Minimum number of reported neighbours, of eight, for a cell to be reported with them, if its own observations
     favour that life form but are not conclusive. Three neighbours form a straight edge."""
     fill_evidence: float = Field(1.0, gt=0)
     """Minimum evidence of a cell for the life form of its reported neighbours."""
-    fill_rounds: int = Field(2, ge=0, le=8)
-    """Number of rounds in which cells are added to their reported neighbours; 0: none."""
-    min_cells: int = Field(3, ge=1, le=100)
-    """Minimum mapping unit in cells: a connected region that changes to one life form counts from this size (3 cells of
-    30 m: 0.27 ha)."""
     mixture: float = Field(0.3, gt=0, le=0.5)
     """Share of the evidence above which both grass and shrub make a grass-shrub cell."""
     burned_days: float = Field(180.0, gt=0)
@@ -95,8 +89,8 @@ class FusionRules(StrictModel):
 _UNIT: Final = 256
 """Resolution of log odds: they are summed as integers of 1 / _UNIT, so that a part of the map gives the same bits as
 the whole."""
-_ABOUT: Final = np.ones((3, 3), np.uint8)
-"""A cell and its eight neighbours."""
+_ENOUGH_COMPANY: Final = 3
+"""Number of cells that have changed for other reasons than evidence that is support enough."""
 
 
 def supported_changes(
@@ -104,44 +98,31 @@ def supported_changes(
     log_odds: Float64Array,
     company: UInt8Array | None,
     rules: FusionRules,
-    leaning: UInt8Array | None = None,
+    leaning: UInt8Array,
 ) -> BoolArray:
-    """Return (H, W) the cells of `wanted` whose change is reported.
+    """Return (H, W) the cells whose change is reported.
 
     A view errs alike over some cells, but seldom with much certainty over a whole region. So a cell that looks changed
-    counts if confident cells of the same change about it have log odds of `rules.support` or more together, and so do
-    those connected to it within `rules.grow_cells` (hysteresis: Canny, IEEE PAMI 8, 1986). A cell that only leans to
-    what most of those about it have become is reported with them.
+    counts if confident cells of the same change about it have log odds of `rules.support` or more together. A cell that
+    only leans to what most of those about it have become is reported with them.
 
     `wanted`: life forms into which cells look changed, 0 none. `log_odds`: by how much their looks make that form
-    likelier than any other. `company`: life forms of cells that have changed for other reasons, 0 none:
-    `rules.min_cells` of them are support enough. `leaning`: likeliest life forms, however little, 0 none."""
+    likelier than any other. `company`: life forms of cells that have changed for other reasons, 0 none. `leaning`:
+    likeliest life forms, however little, 0 none."""
     import cv2
+
+    def summed(values: NDArray[Any], side: int) -> NDArray[Any]:
+        return cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
 
     kept = np.zeros(wanted.shape, np.bool_)
     for form in np.unique(wanted[wanted > 0]):
-        members, sums = wanted == form, np.zeros(wanted.shape, np.float32)
-        sure = members & (log_odds >= np.log(rules.sure_odds))
+        changed, sums = np.zeros(wanted.shape, np.bool_), np.zeros(wanted.shape, np.float32)
+        sure = (wanted == form) & (log_odds >= np.log(rules.sure_odds))
         sums[sure] = np.rint(log_odds[sure] * _UNIT)
         if company is not None:
-            members = members | (company == form)
-            sums[company == form] = np.ceil(rules.support * _UNIT / rules.min_cells)
-        side = 2 * rules.support_cells + 1
-        total = cv2.boxFilter(sums, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        region = members & (total >= np.floor(rules.support * _UNIT))
-        for _ in range(rules.grow_cells):
-            region = members & (cv2.dilate(region.astype(np.uint8), _ABOUT) > 0)
-        _, regions = cv2.connectedComponents(members.astype(np.uint8), connectivity=8)
-        large = np.bincount(regions.ravel()) >= rules.min_cells
-        region &= large[regions]
-        for _ in range(0 if leaning is None else rules.fill_rounds):
-            near = cv2.boxFilter(region.astype(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            region = region | ((leaning == form) & (near >= rules.fill_cells))
-        kept |= region
+            changed = company == form
+            sums[changed] = np.ceil(rules.support * _UNIT / _ENOUGH_COMPANY)
+        region = (wanted == form) & (summed(sums, 2 * rules.support_cells + 1) >= np.floor(rules.support * _UNIT))
+        near = summed((region | changed).astype(np.uint8), 3)
+        kept |= region | ((leaning == form) & (near >= rules.fill_cells))
     return kept
-
-
-def reach_of(rules: FusionRules) -> int:
-    """Return the distance in cells within which others influence whether a change is reported."""
-    support = rules.support_cells + rules.grow_cells if rules.support > 0 else 0
-    return max(support, rules.min_cells - 1) + rules.fill_rounds

@@ -3,17 +3,15 @@
 Where the surface has changed, the prior map no longer holds: such a cell starts from the code of what stands there now,
 and what cameras had seen there before is void, as after a burn. From then on evidence works on it as on any cell."""
 
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.base.types import BoolArray, Float32Array, Int32Array, Int64Array, UInt8Array
-from ltm_core.fuel.decision import FuelLayers
-from ltm_core.fuel.evidence import TILE, EvidenceMap, Window
-from ltm_core.fuel.life_form import NODATA, LifeForm, forms_of, held
-from ltm_core.fuel.prior import FuelPrior, system_of
+from ltm_core.fuel.evidence import SURFACE_KINDS, TILE, EvidenceMap
+from ltm_core.fuel.life_form import LifeForm, forms_of, held
+from ltm_core.fuel.prior import system_of
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store import Key
 from ltm_core.storage.tile_store_schema import Tile
@@ -29,47 +27,8 @@ LEAST_SEEN: Final = 0.1
 SHRUB_BELOW: Final = 3.0
 """Height in metres below which new growth is shrub if no label contradicts."""
 _CHANGES: Final = (ChangeKind.REMOVED, ChangeKind.GROWN, ChangeKind.LOWERED)
-_CODES: Final = 1000
-"""Factor of the recorded number of a cell: its kind of change times this, plus the initial code (0: its own)."""
 _KEPT: Final = ("seen_by", "last_seen", "burned_at")
 """Fields of a cell's state that stay when its cover is no longer known."""
-
-
-class LivingFuelMap(EvidenceMap):
-    """Evidence map whose prior is replaced where the surface has changed. Arguments as for `EvidenceMap`."""
-
-    def __init__(self, geometry: GridGeometry, prior: FuelPrior | None, *arguments: Any, **named: Any) -> None:
-        super().__init__(geometry, prior, *arguments, **named)
-        self._given = prior
-        self._codes = np.full(geometry.shape, NODATA, np.int16) if prior is None else prior.codes
-        self.surface_changes = np.zeros(geometry.shape, np.int32)
-        """(H, W): recorded surface change of each cell, 0 for none."""
-
-    @property
-    def change_kinds(self) -> UInt8Array:
-        """Return (H, W) ChangeKind."""
-        return (self.surface_changes // _CODES).astype(np.uint8)
-
-    def recall(self, recorded: NDArray[np.integer]) -> None:
-        """Put back what `surface_changes` was, (H, W)."""
-        self.surface_changes = recorded.astype(np.int32)
-        starts = self.surface_changes % _CODES
-        codes = np.where(starts > 0, starts, self._codes).astype(np.int16)
-        if self._given is not None:
-            self.prior = replace(self._given, codes=codes)
-        else:
-            self.prior = FuelPrior(codes, self.geometry) if (starts > 0).any() else None
-
-    def changed_otherwise(self, window: Window) -> UInt8Array | None:
-        recorded = self.surface_changes[self._slices(window)] % _CODES
-        if not recorded.any():
-            return None
-        return np.where(recorded > 0, forms_of(recorded.astype(np.int16)).argmax(axis=-1) + 1, 0).astype(np.uint8)
-
-    def layers(self, window: Window | None = None, at_ns: int | None = None) -> FuelLayers:
-        """Return the layers as `EvidenceMap`; `prior` is the site's initial map."""
-        part = self._slices(window or (0, 0, *self.geometry.shape))
-        return replace(super().layers(window, at_ns), prior=self._codes[part].copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +53,7 @@ def news_of(
     Args:
         kinds: (h, w) ChangeKind, UNSEEN where independent views have not looked; `window`: geometry in the map frame.
         shift: (h, w) metres from the reference surface, NaN where it is not known.
-        recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`LivingFuelMap.change_kinds`)."""
+        recorded: (H, W) ChangeKind of each cell of `fuel`, as it was recorded last (`EvidenceMap.change_kinds`)."""
     x, y = window.to_map(0, np.arange(window.width))[0], window.to_map(np.arange(window.height), 0)[1]
     row_at, first_row = np.unique(fuel.cell_of(0.0, y)[0], return_index=True)
     col_at, first_col = np.unique(fuel.cell_of(x, 0.0)[1], return_index=True)
@@ -120,11 +79,11 @@ def news_of(
     return SurfaceNews(row_at[row], col_at[col], now[row, col], by)
 
 
-def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
-    """Return the record of the cells of the news, (N,) (as in `LivingFuelMap.surface_changes`), and the resulting state
+def record(evidence: EvidenceMap, news: SurfaceNews) -> tuple[Int32Array, dict[Key, Tile]]:
+    """Return the record of the cells of the news, (N,) (as in `EvidenceMap.surface_changes`), and the resulting state
     of their tiles; `evidence` does not change. A cell that shows already what the change means keeps its evidence, as
     do burned cells and those that labels never change. A change that is taken back gives a cell its prior back."""
-    recorded = news.kind.astype(np.int32) * _CODES
+    recorded = news.kind.astype(np.int32) * SURFACE_KINDS
     tiles: dict[Key, Tile] = {}
     keys = np.stack([news.rows // TILE, news.cols // TILE], axis=-1)
     for key in sorted({(int(r), int(c)) for r, c in keys}):
@@ -135,7 +94,7 @@ def record(evidence: LivingFuelMap, news: SurfaceNews) -> tuple[Int32Array, dict
         stays = held(layers.prior, evidence.rules.mask)
         for i in np.flatnonzero((keys == key).all(axis=1)):
             cell = int(news.rows[i]) - top, int(news.cols[i]) - left
-            before = int(evidence.surface_changes[news.rows[i], news.cols[i]]) % _CODES
+            before = int(evidence.surface_changes[news.rows[i], news.cols[i]]) % SURFACE_KINDS
             given, form = int(layers.prior[cell]), int(layers.life_form[cell])
             if news.kind[i] == ChangeKind.NONE or stays[cell]:
                 continue

@@ -9,6 +9,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.provenance import (
     NOTHING_SEEN,
@@ -22,7 +23,6 @@ from ltm_core.fuel.export.provenance import (
 from ltm_core.fuel.label_errors import UNMEASURED, LabelErrors
 from ltm_core.fuel.life_form import NODATA, label_forms
 from ltm_core.fuel.prior import FuelPrior, load_prior
-from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.networks import camera_label_errors, labels_state, site_label_errors
@@ -33,7 +33,7 @@ from ltm_core.vision.labels import LabelSet
 
 def site_evidence_map(
     site: Site, geometry: GridGeometry, labels: LabelSet, given: LabelErrors | None = None
-) -> LivingFuelMap:
+) -> EvidenceMap:
     """Return an empty map on the fuel grid (`Site.fuel_geometry`, in the map frame) over the site's prior.
 
     `given`: label errors instead of the known ones. Raises ConfigError and RasterError for a climate, label errors or
@@ -43,7 +43,7 @@ def site_evidence_map(
     climate = FuelClimate.named(fuel.climate)
     known = (site_label_errors(site), camera_label_errors(site)) if given is None else (given, {})
     errors, of_cameras = known
-    return LivingFuelMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
+    return EvidenceMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
 
 
 def measured_errors(

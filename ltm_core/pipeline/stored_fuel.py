@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import UInt8Array
-from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE, Window
-from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, news_of, record
+from ltm_core.fuel.evidence import EVIDENCE_FIELDS, EVIDENCE_VERSION, TILE, EvidenceMap, Window
+from ltm_core.fuel.surface_change import SurfaceNews, news_of, record
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site import Site
@@ -28,7 +28,7 @@ JOURNALED: Final = ("life_form", "code")
 """Layers whose changes are in the store's journal."""
 _ALWAYS: Final = 2**63 - 1
 SURFACE_LAYER: Final = "surface"
-"""Journal layer with the recorded surface change of each cell (`LivingFuelMap.surface_changes`)."""
+"""Journal layer with the recorded surface change of each cell (`EvidenceMap.surface_changes`)."""
 _VISIBILITY = ("cos_incidence", "footprint", "sigma_along", "sigma_across", "bearing")
 
 
@@ -39,7 +39,7 @@ def fuel_schema(site: Site, geometry: GridGeometry) -> StoreSchema:
     return StoreSchema(STORE_KIND, EVIDENCE_VERSION, site.in_crs(geometry), TILE, dict(EVIDENCE_FIELDS))
 
 
-def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
+def restore(store: TileStore, evidence: EvidenceMap) -> set[Key]:
     """Fill an empty map with a store's content; return the tiles that the store does not have in their last state.
 
     Raises ConfigError where the store is damaged, StoreError where it cannot be read just now."""
@@ -54,7 +54,7 @@ def restore(store: TileStore, evidence: LivingFuelMap) -> set[Key]:
     return newer
 
 
-def open_stored_map(path: Path | str, site: Site, empty: LivingFuelMap) -> TileStore:
+def open_stored_map(path: Path | str, site: Site, empty: EvidenceMap) -> TileStore:
     """Open a site's store for reading, also while a node writes it; fills the `empty` map of the site.
 
     The map as of an earlier date: `store.as_of("code", layers.code, until_ns)` with the empty map's layers. Raises
@@ -113,7 +113,7 @@ class SurfaceMoves:
         """Add cells with new changes, which must be in the grid."""
         self._shift[changed.rows, changed.cols] = np.where(changed.kind > 0, changed.shift, 0)
 
-    def news(self, kinds: UInt8Array, window: Window, evidence: LivingFuelMap) -> SurfaceNews:
+    def news(self, kinds: UInt8Array, window: Window, evidence: EvidenceMap) -> SurfaceNews:
         """Return the news for a fuel map in the kinds of change (`SurfaceLayers.told`) of a window (row, col, height,
         width) of the grid."""
         row, col, height, width = window
@@ -132,7 +132,7 @@ class RecordedNews:
     window: Window
 
 
-def take_news(evidence: LivingFuelMap, news: SurfaceNews, stamp_ns: int) -> RecordedNews:
+def take_news(evidence: EvidenceMap, news: SurfaceNews, stamp_ns: int) -> RecordedNews:
     """Restart a map from the present surface in the cells of the news, which must not be empty."""
     recorded, tiles = record(evidence, news)
     cells = news.rows, news.cols

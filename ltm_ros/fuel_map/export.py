@@ -5,6 +5,7 @@ from pathlib import Path
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.class_map import snapped_grid
 from ltm_core.fuel.codes import FuelSystem
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.export.companion_files_io import item_path, write_item, write_kmz
 from ltm_core.fuel.export.export_grid import GridTransfer
 from ltm_core.fuel.export.landscape import Landscape
@@ -12,7 +13,6 @@ from ltm_core.fuel.export.landscape_io import write_elmfire, write_landscape, wr
 from ltm_core.fuel.export.provenance import Provenance, landscape_units
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.fuel.prior import system_of
-from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import to_png
 from ltm_core.pictures.fuel_maps import change_sheet, fuel_sheet, overlay_picture
@@ -63,7 +63,7 @@ def export_site(
     return target, [terrain.note] if terrain.note else []
 
 
-def write_landscapes(evidence: LivingFuelMap, site: Site, folder: Path, state: Path) -> list[Path]:
+def write_landscapes(evidence: EvidenceMap, site: Site, folder: Path, state: Path) -> list[Path]:
     """Write the map as `landscape.lcp` and `landscape.tif`, for fire models, with their STAC items. `state`: folder of
     its store, and of the confirmed surface if used. Raises ConfigError, RasterError, StoreError."""
     layers, labels = evidence.layers(), LabelSet.load(config_path(site.labels))

@@ -8,8 +8,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from ltm_core.base.errors import LtmError, StoreError
-from ltm_core.fuel.evidence import Window
-from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.fuel.evidence import EvidenceMap, Window
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.pipeline.stored_fuel import restore, votes_of, votes_to_bytes
 from ltm_core.storage.tile_store import Key, TileStore
@@ -60,7 +59,7 @@ class FuelMapPersistence:
 
     def __init__(
         self,
-        make_map: Callable[[], LivingFuelMap],
+        make_map: Callable[[], EvidenceMap],
         open_store: Callable[[], TileStore],
         health: Health,
         durable: bool = True,

@@ -7,9 +7,9 @@ from typing import Any
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.base.resources import config_path
 from ltm_core.fuel.class_map import write_fuel_map
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors
 from ltm_core.fuel.life_form import life_form_labels
-from ltm_core.fuel.surface_change import LivingFuelMap
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.site_surface import terrain_grid
@@ -234,7 +234,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
         life_form, grid = self.persistence.map.layers().life_form, self._site.in_crs(self._geometry)
         return write_fuel_map(name, life_form, grid, self._classes, {"labels": self._reliability})
 
-    def _empty(self) -> LivingFuelMap:
+    def _empty(self) -> EvidenceMap:
         return site_evidence_map(self._site, self._geometry, self._labels, self._measured)
 
     def _open_store(self) -> TileStore:

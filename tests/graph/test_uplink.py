@@ -16,7 +16,7 @@ from scenes.waiting import wait_for
 from tower_frames import TOPICS, send_frame
 
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.pipeline.site_fuel import site_evidence_map
 from ltm_core.pipeline.stored_fuel import STORE_FILE, open_stored_map
 from ltm_core.site.site_io import load_site
@@ -29,7 +29,7 @@ LTM = "from ltm_ros.cli.main import app; app()"
 FRAMES = 3
 
 
-def stored(site: Path, store: Path) -> tuple[LivingFuelMap, dict[str, int]]:
+def stored(site: Path, store: Path) -> tuple[EvidenceMap, dict[str, int]]:
     """A fuel map in its store, and the frames in it by camera."""
     loaded = load_site(site)
     grid = loaded.fuel_geometry(loaded.open_dem())

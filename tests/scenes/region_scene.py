@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from rclpy.serialization import serialize_message
 
-from ltm_core.fuel.surface_change import LivingFuelMap
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
@@ -102,7 +102,7 @@ def write_region_scene(folder: Path, port: int = 8883, **changes: Any) -> Region
     return RegionScene(folder, port)
 
 
-def same_map(one: LivingFuelMap, other: LivingFuelMap) -> bool:
+def same_map(one: EvidenceMap, other: EvidenceMap) -> bool:
     """Return whether all cells of two maps, and the time of their newest frames, are the same to the bit."""
     for key in one.tiles_of((0, 0, *one.geometry.shape)):
         mine, theirs = one.tile_state(key), other.tile_state(key)

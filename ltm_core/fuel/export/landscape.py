@@ -18,7 +18,6 @@ LANDSCAPE_BANDS: Final = ("elevation", "slope", "aspect", "fuel", "cover", "heig
 LANDSCAPE_UNITS: Final = ("m", "degrees", "degrees", "code", "percent", "m x 10", "m x 10", "kg/m3 x 100")
 FLAT: Final = -1
 """LANDFIRE's aspect of level ground."""
-_HORN: Final = np.array([1.0, 2.0, 1.0])
 _ENOUGH_CELLS = 20
 """Minimum number of the prior's tree cells from which the canopy of a code is learned."""
 
@@ -55,46 +54,33 @@ class Landscape:
 def slope_and_aspect(elevation: NDArray[np.floating], cell: float) -> tuple[Float64Array, Float64Array]:
     """Return the degrees (H - 2, W - 2) of an elevation raster (H, W) with square cells, without its border. Source:
     Horn (1981), Hill shading and the reflectance map, as gdaldem. Aspect is downhill, clockwise from grid north, FLAT
-    where the ground is level; both are NaN beside unknown heights."""
-    from scipy import ndimage
+    where the ground is level; both are NaN where the height is unknown. Where a neighbour's is, the slope from the
+    cell's other side is extended."""
+    heights = np.asarray(elevation, np.float64)
+    height, width = (n - 2 for n in heights.shape)
+    own = heights[1:-1, 1:-1]
 
-    # Sobel's operator is Horn's weights, times 8.
-    east = ndimage.sobel(np.asarray(elevation, np.float64), axis=1)[1:-1, 1:-1] / (8 * cell)
-    south = ndimage.sobel(np.asarray(elevation, np.float64), axis=0)[1:-1, 1:-1] / (8 * cell)
-    # SciPy lets NaN through where its weight is 0.
-    unknown = ndimage.maximum_filter(np.isnan(elevation), 3)[1:-1, 1:-1]
-    slope, aspect = _steepest(east, south)
-    return np.where(unknown, np.nan, slope), np.where(unknown, np.nan, aspect)
+    def beside(down: int, right: int) -> Float64Array:
+        there, across = (
+            heights[1 + k * down : 1 + k * down + height, 1 + k * right : 1 + k * right + width] for k in (1, -1)
+        )
+        return np.where(np.isnan(there), np.where(np.isnan(across), own, 2 * own - across), there)
 
-
-def _steepest(east: Float64Array, south: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return the slope and aspect, as of `slope_and_aspect`, of gradients (...)."""
+    weights = ((-1, 1), (0, 2), (1, 1))
+    east = sum(weight * (beside(k, 1) - beside(k, -1)) for k, weight in weights) / (8 * cell)
+    south = sum(weight * (beside(1, k) - beside(-1, k)) for k, weight in weights) / (8 * cell)
+    east = np.where(np.isnan(own), np.nan, east)
     slope = np.degrees(np.arctan(np.hypot(east, south)))
-    aspect = np.where((east == 0) & (south == 0), float(FLAT), np.degrees(np.arctan2(-east, south)) % 360)
-    return slope, aspect
+    return slope, np.where((east == 0) & (south == 0), float(FLAT), np.degrees(np.arctan2(-east, south)) % 360)
 
 
 def terrain_bands(padded: NDArray[np.floating], cell: float) -> Int16Array:
     """Return elevation, slope and aspect (3, H, W) of heights (H + 2, W + 2) with a border of one cell; NODATA where
-    the height is unknown. If a neighbour's is unknown, the slope from the cell's other side is extended."""
-    heights = np.asarray(padded, np.float64)
-    slope, aspect = slope_and_aspect(heights, cell)
-    own = heights[1:-1, 1:-1]
-    ragged = np.isnan(slope) & np.isfinite(own)
-    if ragged.any():
-        rows, cols = np.nonzero(ragged)
-        around = heights[rows[:, None, None] + np.arange(3)[:, None], cols[:, None, None] + np.arange(3)]
-        middle = around[:, 1:2, 1:2]
-        onward = 2 * middle - around[:, ::-1, ::-1]
-        around = np.where(np.isnan(around), np.where(np.isnan(onward), middle, onward), around)
-        # Horn's weights, as in `slope_and_aspect`, of all such cells at once.
-        columns, lines = ((around * weights).sum(axis=axis) for weights, axis in ((_HORN[:, None], 1), (_HORN, 2)))
-        slope[ragged], aspect[ragged] = _steepest(
-            (columns[:, 2] - columns[:, 0]) / (8 * cell), (lines[:, 2] - lines[:, 0]) / (8 * cell)
-        )
+    the height is unknown."""
+    slope, aspect = slope_and_aspect(padded, cell)
     # 360 is 0, and a slope that rounds to 0 may keep its direction.
     turned = np.where(aspect == FLAT, FLAT, np.round(aspect) % 360)
-    bands = np.stack([np.round(own), np.round(slope), turned])
+    bands = np.stack([np.round(padded[1:-1, 1:-1]), np.round(slope), turned])
     return np.where(np.isnan(bands), NODATA, bands).astype(np.int16)
 
 

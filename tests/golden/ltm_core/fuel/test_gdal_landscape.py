@@ -81,7 +81,7 @@ def test_slope_beside_unknown_heights() -> None:
     plane[4, 4] = np.nan
     slope, aspect = slope_and_aspect(plane, 1.0)
     unknown = np.zeros((6, 7), bool)
-    unknown[2:5, 2:5] = True
+    unknown[3, 3] = True
     np.testing.assert_array_equal(np.isnan(slope), unknown)
     np.testing.assert_allclose(slope[~unknown], np.degrees(np.arctan(np.hypot(2, 3))))
     np.testing.assert_allclose(aspect[~unknown], 180 + np.degrees(np.arctan2(3, 2)))  # downhill: south and west

@@ -67,28 +67,6 @@ def test_two_cameras_need_no_hour() -> None:
     np.testing.assert_array_equal(layers.seen_by, 2)
 
 
-def test_a_change_of_few_cells_is_not_mapped() -> None:
-    """Regions of one new form count, joined by sides and corners: the minimum mapping unit."""
-    wide = GridGeometry(15.0, 255.0, 30.0, 11, 8)
-    prior = FuelPrior(np.full(wide.shape, 145, np.int16), wide)
-    four = [(0, 0), (1, 1), (2, 2), (3, 3)]
-    five = [(0, 5), (1, 6), (2, 7), (3, 8), (4, 8)]
-    mixed = [(7, 0), (7, 1), (7, 2)], [(7, 3), (7, 4), (7, 5)]
-    rules = FusionRules(context=0.0, min_cells=5, support=0.0, fill_rounds=0)
-    grid_map = EvidenceMap(wide, prior, LABELS, rules, TRUSTED)
-    for source in ("north", "south"):
-        for label, cells in ((Label.TREE, four + five + mixed[0]), (Label.GRASS, mixed[1])):
-            for second in (NOW, NOW + HOUR):
-                grid_map.add(votes(label, second, f"{source} {label}", cells=cells, grid=wide))
-    whole = grid_map.layers()
-    assert {(int(row), int(col)) for row, col in np.argwhere(whole.changed)} == set(five)
-    assert whole.life_form[1, 1] == LifeForm.SHRUB
-    for row, col in np.ndindex(wide.height - 1, wide.width - 2):  # seen through any window, it is the same map
-        part = grid_map.layers((row, col, 2, 3))
-        np.testing.assert_array_equal(part.code, whole.code[row : row + 2, col : col + 3])
-    assert grid_map.reached_from((2, 9, 1, 1)) == (0, 5, 7, 6)
-
-
 def test_grass_and_shrub_together() -> None:
     layers = fuel_map(votes(Label.GRASS), votes(Label.SHRUB, NOW + HOUR), prior=None).layers()
     np.testing.assert_array_equal(layers.code, 122)
@@ -106,7 +84,7 @@ def test_each_form_has_its_own_time_constant(label: Label) -> None:
 
 def test_burned_labels_live_for_a_time() -> None:
     labels = LabelSet((*LABELS.names, "burned"), (*LABELS.colors, (0, 0, 0)), (*LABELS.ground_cover, True))
-    rules, errors = FusionRules(min_cells=1, support=0.0), LabelErrors(np.eye(7), INDEPENDENT)
+    rules, errors = FusionRules(support=0.0), LabelErrors(np.eye(7), INDEPENDENT)
     grid_map = EvidenceMap(GRID, PRIOR, labels, rules, errors)
     frame = votes(Label.TREE, cells=[(0, 0)])
     counts = np.zeros((1, 8), np.uint32)
@@ -236,11 +214,11 @@ def test_a_camera_s_votes_are_weighed_by_the_errors_of_its_own_head() -> None:
     shrub, tree = LifeForm.SHRUB - 1, LifeForm.TREE - 1
     shares[[shrub, tree]] = shares[[tree, shrub]]  # a head that calls shrub what is tree, and tree what is shrub
     turned = LabelErrors(shares, INDEPENDENT)
-    mixed = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(min_cells=1), TRUSTED, errors_of={"north": turned})
+    mixed = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(), TRUSTED, errors_of={"north": turned})
     for second in (NOW, NOW + HOUR):
         mixed.add(votes(Label.SHRUB, second, "north"))
     assert mixed.layers().life_form[0, 0] == LifeForm.TREE
-    other = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(min_cells=1), TRUSTED, errors_of={"south": turned})
+    other = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(), TRUSTED, errors_of={"south": turned})
     for second in (NOW, NOW + HOUR):
         other.add(votes(Label.SHRUB, second, "north"))
     assert other.layers().life_form[0, 0] == LifeForm.SHRUB

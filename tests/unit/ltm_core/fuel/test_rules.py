@@ -16,7 +16,7 @@ RULES = FusionRules()
 def reported(odds: np.ndarray, company: np.ndarray | None = None) -> np.ndarray:
     """Of cells that look like trees where their log odds are above 0."""
     wanted = np.where(odds > 0, np.uint8(LifeForm.TREE), np.uint8(0))
-    return supported_changes(wanted, odds, company, RULES)
+    return supported_changes(wanted, odds, company, RULES, wanted)
 
 
 def test_a_region_that_no_cell_is_sure_of_is_not_reported() -> None:
@@ -28,12 +28,12 @@ def test_a_region_that_no_cell_is_sure_of_is_not_reported() -> None:
     assert np.array_equal(reported(odds), odds > 0)
 
 
-def test_a_sure_region_is_reported_so_far_and_not_farther() -> None:
+def test_a_sure_region_supports_cells_so_far_and_not_farther() -> None:
     odds = np.zeros((7, 40))
     odds[3, 2:36] = 1.0
-    odds[2:5, 2:5] = 4.0
+    odds[2:5, 2:5] = RULES.support / 3
     ends = np.flatnonzero(reported(odds)[3])
-    assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells + RULES.grow_cells)
+    assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells)
 
 
 def test_what_the_terrain_has_changed_supports_what_cameras_see_beside_it() -> None:
@@ -58,9 +58,6 @@ def test_a_hole_in_what_has_changed_is_filled_where_it_leans_to_the_same_and_edg
     expected = wanted > 0
     expected[5, 6:8] = True
     np.testing.assert_array_equal(filled, expected)
-    np.testing.assert_array_equal(supported_changes(wanted, odds, None, RULES), wanted > 0)
-    never = RULES.model_copy(update={"fill_rounds": 0})
-    np.testing.assert_array_equal(supported_changes(wanted, odds, None, never, leaning), wanted > 0)
 
 
 WIDE = GridGeometry(15.0, 315.0, 30.0, 12, 12)

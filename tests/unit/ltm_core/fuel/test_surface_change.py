@@ -3,10 +3,11 @@ import pytest
 from scenes.evidence_scene import ASSUMED
 
 from ltm_core.fuel.decision import FuelLayers
+from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules
-from ltm_core.fuel.surface_change import LivingFuelMap, SurfaceNews, form_after, news_of, record
+from ltm_core.fuel.surface_change import SurfaceNews, form_after, news_of, record
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import ChangeKind
@@ -97,14 +98,14 @@ def test_a_fuel_cell_takes_over_what_enough_of_its_seen_part_shows() -> None:
     assert found == [(0, 1, REMOVED, -11.0), (1, 2, LOWERED, -3.0)]
 
 
-def map_of(codes: np.ndarray | None, **rules: float) -> LivingFuelMap:
-    return LivingFuelMap(FUEL, None if codes is None else FuelPrior(codes, FUEL), LABELS, FusionRules(**rules), ASSUMED)
+def map_of(codes: np.ndarray | None, **rules: float) -> EvidenceMap:
+    return EvidenceMap(FUEL, None if codes is None else FuelPrior(codes, FUEL), LABELS, FusionRules(**rules), ASSUMED)
 
 
 CELLS = np.array([2, 33]), np.array([5, 40])
 
 
-def told(evidence: LivingFuelMap, kind: int, shift: float) -> FuelLayers:
+def told(evidence: EvidenceMap, kind: int, shift: float) -> FuelLayers:
     news = SurfaceNews(*CELLS, np.full(2, kind, np.uint8), np.full(2, shift, np.float32))
     before = {key: evidence.tile_state(key) for key in ((0, 0), (1, 1))}, evidence.surface_changes.copy()
     what, tiles = record(evidence, news)
@@ -166,7 +167,7 @@ def test_told_cells_change_and_no_others(
 
 
 def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> None:
-    evidence = map_of(np.full(FUEL.shape, 102, np.int16), min_cells=1, support=0.0)
+    evidence = map_of(np.full(FUEL.shape, 102, np.int16), support=0.0)
     for day in range(6):
         for camera in ("north", "east", "south"):
             evidence.add(frame(LifeForm.TREE, NOW - 10**7 + day * 20 * 86400, camera))
