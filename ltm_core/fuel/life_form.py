@@ -1,5 +1,4 @@
-"""Define life forms (grass, shrub, tree, bare), and terrain without them: plants on rock walls, trees above the tree
-line, water on slopes.
+"""Define life forms (grass, shrub, tree, bare), and terrain without them: plants on rock walls, water on slopes.
 
 A pixel that shows one there is a network's error: it does not vote, for this form or another."""
 
@@ -8,9 +7,7 @@ from enum import IntEnum
 from typing import Final
 
 import numpy as np
-from pydantic import Field
 
-from ltm_core.base.strict_model import Expert, StrictModel
 from ltm_core.base.types import BoolArray, Float64Array, Int16Array, Int64Array, UInt8Array, UInt16Array, UInt32Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
@@ -100,32 +97,21 @@ amid water). Of the land there, 40 to 63 % is steeper."""
 _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, PARTS)
 
 
-class GrowthLimits(StrictModel):
-    """Limits beyond which labels of plants do not vote; None: no limit."""
-
-    steepest_deg: Expert[float | None] = Field(50.0, gt=0, lt=90)
-    """Slope in degrees over the width of a fuel cell above which labels of grass, shrub and tree are ignored. Of
-    LANDFIRE's vegetated cells in the Santa Ana Mountains 0.4, 0.5 and 1.2 % are steeper, near the Tubbs fire at most
-    0.2 %, in Vermont none (docs/how/fuel.md)."""
-    tree_line_m: float | None = None
-    """Elevation in metres in the DEM's datum above which tree labels are ignored. Give the highest elevation of stands
-    on the site, not their mean: anything above it is ignored."""
-
-
 class GroundLimits:
-    """Parts of the fuel grid's cells that are beyond the limits. The terrain is read once per cell, when a frame first
-    sees it. `masks`: (3, H, W) uint16, a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west:
-    where no plant is believed, where no tree, and where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2
-    for trees, 3 for water, each as soon as its mask has a bit; 0 for all else."""
+    """Parts of the fuel grid's cells that are too steep: for plants above `steepest_deg` (None: no limit), for water
+    above WATER_STEEPEST_DEG. The terrain is read once per cell, when a frame first
+    sees it. `masks`: (2, H, W) uint16, a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west:
+    where no plant is believed, and where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2 for water, each
+    as soon as its mask has a bit; 0 for all else."""
 
-    def __init__(self, limits: GrowthLimits, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
-        self._limits, self._geometry, self._dem = limits, geometry, dem
+    def __init__(self, steepest_deg: float | None, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
+        self._steepest_deg, self._geometry, self._dem = steepest_deg, geometry, dem
         # calloc'ed: cells that no frame sees take no memory.
         self._known = np.zeros(geometry.shape, np.bool_)
-        self.masks: UInt16Array = np.zeros((3, *geometry.shape), np.uint16)
+        self.masks: UInt16Array = np.zeros((2, *geometry.shape), np.uint16)
         self.kinds: UInt8Array = np.zeros(256, np.uint8)
         forms = label_forms(labels)
-        limited = _PLANTS, (LifeForm.TREE,), (LifeForm.WATER,)
+        limited = _PLANTS, (LifeForm.WATER,)
         self._labels = [np.flatnonzero(np.isin(forms, [form - 1 for form in some])) for some in limited]
 
     def learn(self, cells: Int64Array) -> BoolArray:
@@ -133,17 +119,17 @@ class GroundLimits:
         have a limit in one of these."""
         new = cells[~self._known.ravel()[cells]]
         masks = self._beyond(new)
-        self.masks.reshape(3, -1)[:, new] = masks
+        self.masks.reshape(2, -1)[:, new] = masks
         self._known.ravel()[new] = True
         found = np.zeros(256, np.bool_)
         for kind, labels in enumerate(self._labels, start=1):
             if masks[kind - 1].any():
                 found[labels] = True
-                self.kinds[labels] = np.maximum(self.kinds[labels], np.uint8(kind))
+                self.kinds[labels] = kind
         return found
 
     def _beyond(self, cells: Int64Array) -> UInt16Array:
-        """Return (3, N) masks of cells, by the terrain at the middles of each cell's parts and half a cell about it."""
+        """Return (2, N) masks of cells, by the terrain at the middles of each cell's parts and half a cell about it."""
         row, col = np.divmod(cells, self._geometry.width)
         offset = (np.arange(2 * PARTS) + 0.5) / PARTS - 1.0  # cells from the cell's middle
         places = np.broadcast_arrays(row[:, None, None] + offset[:, None], col[:, None, None] + offset)
@@ -153,8 +139,5 @@ class GroundLimits:
         south = heights[:, PARTS:, inner] - heights[:, :PARTS, inner]
         slope = np.degrees(np.arctan(np.hypot(east, south) / self._geometry.resolution))
         # A height that is not known is no limit: comparisons with NaN are false.
-        steepest, line = self._limits.steepest_deg, self._limits.tree_line_m
-        steep = slope > (np.inf if steepest is None else steepest)
-        above = heights[:, inner, inner] > (np.inf if line is None else line)
-        beyond = steep, above, slope > WATER_STEEPEST_DEG
-        return np.stack([np.where(m, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for m in beyond])
+        limits = np.inf if self._steepest_deg is None else self._steepest_deg, WATER_STEEPEST_DEG
+        return np.stack([np.where(slope > most, _BIT, 0).sum(axis=(1, 2), dtype=np.uint16) for most in limits])

@@ -14,21 +14,21 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 
-_NO_MASKS, _NO_KINDS = np.zeros((3, 1, 1), np.uint16), np.zeros(256, np.uint8)
+_NO_MASKS, _NO_KINDS = np.zeros((2, 1, 1), np.uint16), np.zeros(256, np.uint8)
 
 
 class VoteSums(NamedTuple):
     """Sums over the pixels of each seen cell, in row-major order of the cells. `cells`: (N,) int64 row * width + col in
     the fuel grid. `counts`: (N, K) uint32 pixels by class. `confidence`: (N,) mean of the pixels' confidence, 0..255.
-    `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`: (2,) int64 pixels that were not counted:
-    where it is too steep for their class, of trees above the tree line."""
+    `x`, `y`: (N,) mean map coordinates of what they see, metres. `withdrawn`: number of pixels that were not counted,
+    because it is too steep for their class."""
 
     cells: Int64Array
     counts: UInt32Array
     confidence: Float64Array
     x: Float64Array
     y: Float64Array
-    withdrawn: Int64Array
+    withdrawn: int
 
 
 def sum_pixels(
@@ -53,13 +53,13 @@ def sum_pixels(
     capacity = min(height * width, distance.size)
     if capacity == 0:
         none, nothing = np.zeros(0, np.int64), np.zeros(0)
-        return VoteSums(none, np.zeros((0, classes), np.uint32), nothing, nothing, nothing, np.zeros(2, np.int64))
+        return VoteSums(none, np.zeros((0, classes), np.uint32), nothing, nothing, nothing, 0)
     # calloc'ed: pages that no pixel touches cost nothing.
     slots = np.zeros(height * width, np.int32)
     cells = np.zeros(capacity, np.int64)
     counts = np.zeros((capacity, classes), np.uint32)
     sums = np.zeros((capacity, 3))
-    withdrawn = np.zeros((capacity, 2), np.uint32)
+    withdrawn = np.zeros(capacity, np.uint32)
     masks, kinds = (limits.masks, limits.kinds) if limits is not None else (_NO_MASKS, _NO_KINDS)
     place = np.ascontiguousarray(pose.rotation, np.float64), float(east), float(north)
     sure = _read_only(np.zeros((1, 1), np.uint8) if confidence is None else confidence, np.uint8)
@@ -71,9 +71,9 @@ def sum_pixels(
         *(float(max_range), masks, kinds, slots, cells, counts, sums, withdrawn),
     )
     order = np.argsort(cells[:used])
-    pixels, total = counts[order].sum(axis=1), withdrawn[:used].sum(axis=0).astype(np.int64)
-    if total.any():
-        kept = pixels > withdrawn[order].sum(axis=1)
+    pixels, total = counts[order].sum(axis=1), int(withdrawn[:used].sum())
+    if total:
+        kept = pixels > withdrawn[order]
         order, pixels = order[kept], pixels[kept]
     mean = sums[order] / np.maximum(pixels, 1)[:, None]
     return VoteSums(cells[order], counts[order], mean[:, 2], mean[:, 0] + east, mean[:, 1] + north, total)
@@ -193,12 +193,12 @@ def _scan(
             kind, pixels = kinds[label], u - begin
             east_sum, north_sum, sure = 0.0, 0.0, 0
             for i in range(begin, u):
-                if kind > 0:
-                    why = _beyond(masks, kind, np.float32(east + dx[i]), np.float32(north + dy[i]), grid, cells[slot])
-                    if why >= 0:
-                        withdrawn[slot, why] += np.uint32(1)
-                        pixels -= 1
-                        continue
+                if kind > 0 and _too_steep(
+                    masks[kind - 1], np.float32(east + dx[i]), np.float32(north + dy[i]), grid, cells[slot]
+                ):
+                    withdrawn[slot] += np.uint32(1)
+                    pixels -= 1
+                    continue
                 east_sum += dx[i]
                 north_sum += dy[i]
                 if has_confidence:
@@ -211,17 +211,12 @@ def _scan(
 
 
 @helper()
-def _beyond(masks: Any, kind: int, x: float, y: float, grid: tuple[float, float, float], cell: int) -> int:
-    """Return which limit a class at (x, y), in this cell, is beyond: 0 it is too steep, 1 above the tree line, -1
-    none."""
-    row, col = cell // masks.shape[2], cell % masks.shape[2]
-    too_steep, no_tree = masks[2 if kind == 3 else 0, row, col], masks[1, row, col]
-    if too_steep == 0 and (kind != 2 or no_tree == 0):
-        return -1
+def _too_steep(mask: Any, x: float, y: float, grid: tuple[float, float, float], cell: int) -> bool:
+    """Return whether the ground at (x, y), in this cell, is marked in a mask of `GroundLimits`."""
+    row, col = cell // mask.shape[1], cell % mask.shape[1]
+    if mask[row, col] == 0:
+        return False
     x_min, y_max, resolution = grid
     east = min(max(int(((np.float64(x) - x_min) / resolution - col) * PARTS), 0), PARTS - 1)
     south = min(max(int(((y_max - np.float64(y)) / resolution - row) * PARTS), 0), PARTS - 1)
-    bit = np.uint16(1 << (south * PARTS + east))
-    if too_steep & bit:
-        return 0
-    return 1 if kind == 2 and no_tree & bit else -1
+    return (mask[row, col] & np.uint16(1 << (south * PARTS + east))) != 0

@@ -114,8 +114,8 @@ class CellVotes:
     in row-major order. `counts`: (N, K) uint32 pixels per class. `z`: (N,) float32 terrain height at the cell
     centres, so that the votes are labelled 3D points, the paper's P(x, y) and L(x, y). `source`: the camera.
     `confidence`: (N,) float32, the pixels' mean in [0, 1]; None: 1, the labels say nothing of it. `visibility`: how the
-    frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed. `too_steep`,
-    `above_tree_line`: pixels that the terrain withdrew (`GroundLimits`), for whoever watches; no evidence."""
+    frame sees each cell; None: not known, and evidence then takes the votes as perfectly placed. `too_steep`:
+    pixels that the terrain withdrew (`GroundLimits`), for whoever watches; no evidence."""
 
     geometry: GridGeometry
     rows: Int32Array
@@ -127,7 +127,6 @@ class CellVotes:
     confidence: Float32Array | None = None
     visibility: CellVisibility | None = None
     too_steep: int = 0
-    above_tree_line: int = 0
 
     def __post_init__(self) -> None:
         n, shapes = len(self.rows), {"columns": self.cols.shape, "heights": self.z.shape}
@@ -241,7 +240,4 @@ class VoteCaster:
         east, north = x - pose.position[0], y - pose.position[1]
         visibility = replace(visibility, bearing=np.arctan2(east, north).astype(np.float32))
         mean = None if confidence is None else (sums.confidence / 255).astype(np.float32)
-        too_steep, above = (int(n) for n in sums.withdrawn)
-        return CellVotes(
-            self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, visibility, too_steep, above
-        )
+        return CellVotes(self.geometry, rows, cols, sums.counts, z, stamp_ns, source, mean, visibility, sums.withdrawn)

@@ -254,7 +254,7 @@ class VotingStep:
         self.labels = LabelSet.load(config_path(site.labels))
         self.geometry = site.fuel_geometry(dem)
         votes_for = self.labels.votes_table[: len(self.labels)]
-        limits = GroundLimits(site.fuel.growth, self.geometry, dem, self.labels)
+        limits = GroundLimits(site.fuel.steepest_deg, self.geometry, dem, self.labels)
         self._caster = VoteCaster(self.geometry, dem, votes_for, site.fuel.max_range, site.bend, limits)
         self.assumed = site.assumed_pose_error.covariance()
         """(6, 6) covariance assumed for poses without one."""

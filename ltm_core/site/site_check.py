@@ -102,11 +102,7 @@ def _check_fuel(found: Findings, site: Site, check: SiteCheck) -> None:
     with found.errors("fuel", "climate and label errors"):
         FuelClimate.named(site.fuel.climate)
         _check_label_errors(found, site)
-    line, dem = site.fuel.growth.tree_line_m, check.dem
-    if line is not None and dem is not None:  # in feet, or of another place, it would withdraw no tree or all of them
-        rows = dem.elevation  # one by one: no mask of a whole raster
-        above = float(sum((row > line).sum() for row in rows) / sum(np.isfinite(row).sum() for row in rows))
-        found.ok("fuel", "tree line", f"{above:.0%} of the terrain lies above {line:g} m: no tree there votes")
+    dem = check.dem
     if site.fuel.prior is None:
         found.ok("fuel", "prior", "none: cells are unknown until they are seen")
     elif dem is not None:

@@ -107,7 +107,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             x_min=geometry.x_min,
             y_max=geometry.y_max,
             origin=self._site.origin,
-            growth=self._site.fuel.growth.model_dump(mode="json"),
+            growth={"steepest_deg": self._site.fuel.steepest_deg},
             labels_measured=state,
         )
         self.health.gauge("labels", state)

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-
 from ltm_core.pipeline.frame_steps import VotingStep
 from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.pipeline.pose_watch import PoseWatch
@@ -28,7 +26,7 @@ class FuelVotesHandler(JoiningHandler[JoinConfig]):
         super().__init__(config, outlet, health)
         self._site = site = load_site(config.site)
         self._step, self._watch = VotingStep(site, config.camera), PoseWatch(site)
-        self._withdrawn = np.zeros(2, np.int64)
+        self._too_steep = 0
         parts = {
             "depth": topics.DEPTH_IMAGE,
             "info": topics.DEPTH_CAMERA_INFO,
@@ -52,10 +50,9 @@ class FuelVotesHandler(JoiningHandler[JoinConfig]):
         sent = self._step.carried(votes)
         if len(sent) < len(votes):
             self.health.note("votes_in_turns")
-        self._withdrawn += np.array([votes.too_steep, votes.above_tree_line])
-        for name, pixels in zip(("too_steep", "above_tree_line"), self._withdrawn.tolist(), strict=True):
-            if pixels:
-                self.health.gauge(f"withdrawn.{name}", pixels)
+        self._too_steep += votes.too_steep
+        if self._too_steep:
+            self.health.gauge("withdrawn.too_steep", self._too_steep)
         self.outlet.publish(topics.FUEL_VOTES, votes_to_msg(sent, self._step.labels.names))
 
 

@@ -65,10 +65,9 @@ def _records(folder: Path) -> list[bytes]:
 def _site(folder: Path) -> list[bytes]:
     content = yaml.safe_load(write_small_site(folder, recording=False).path.read_text())
     content |= {
-        "fuel": {"growth": {"tree_line_m": 900.0}},
         "terrain": {"resolution": 10.0},
         "expert": {
-            "fuel": {"max_range": 3000.0, "growth": {"steepest_deg": 45.0}},
+            "fuel": {"max_range": 3000.0, "steepest_deg": 45.0},
             "limits": {"pixels": 1_000_000},
             "assumed_pose_error": {"angle_deg": 0.2},
         },

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Float32Array
-from ltm_core.fuel.life_form import GroundLimits, GrowthLimits
+from ltm_core.fuel.life_form import GroundLimits
 from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.kernel
 
 LABELS = LabelSet.load()
 FUEL = GridGeometry(0.0, 360.0, 30.0, 16, 12)
-GENTLE_DEG, WALL_DEG = 25.0, 60.0
+GENTLE_DEG, STEEPEST_DEG, WALL_DEG = 25.0, 50.0, 60.0
 FOOT, TOP = 210.0, 300.0
 """x between which the wall rises to the east: whole cells. West of it the slope, east of it level ground."""
 CAMERA, POSE = Camera.from_fov(96, 64, 75.0), Pose.from_angles((0.0, 175.0, 120.0), 90.0, 5.0)
@@ -40,11 +40,11 @@ def traced(wall_deg: float) -> tuple[Dem, Float32Array]:
     return dem, TerrainTracer(dem, possible=NOTHING_BEYOND).trace(CAMERA, POSE).depth()
 
 
-def cast(labels: np.ndarray | int, limits: GrowthLimits | None, wall_deg: float = WALL_DEG) -> CellVotes:
+def cast(labels: np.ndarray | int, steepest_deg: float | None, wall_deg: float = WALL_DEG) -> CellVotes:
     """From above the slope's western end, looking east at all of it."""
     dem, depth = traced(wall_deg)
     image = np.broadcast_to(np.uint8(labels) if np.isscalar(labels) else labels, depth.shape)
-    ground = None if limits is None else GroundLimits(limits, FUEL, dem, LABELS)
+    ground = None if steepest_deg is None else GroundLimits(steepest_deg, FUEL, dem, LABELS)
     caster = VoteCaster(FUEL, dem, LABELS.votes_table[: len(LABELS)], limits=ground)
     return caster.cast(depth, CAMERA, POSE, image, 5, "north", np.full(depth.shape, 200, np.uint8))
 
@@ -71,34 +71,22 @@ def on_the_wall(votes: CellVotes) -> CellVotes:
 
 @pytest.mark.parametrize("label", [Label.GRASS, Label.SHRUB, Label.TREE])
 def test_a_wall_loses_its_plants_and_the_slope_beside_it_none(label: Label) -> None:
-    plain, votes = cast(label, None), cast(label, GrowthLimits())
+    plain, votes = cast(label, None), cast(label, STEEPEST_DEG)
     assert on_the_wall(plain).counts.sum() > 200
     assert len(on_the_wall(votes)) == 0
     gentle = west_of(plain, FOOT - 30)
     assert len(gentle) > 10
     assert same(gentle, west_of(votes, FOOT - 30))
     assert votes.too_steep >= on_the_wall(plain).counts.sum()
-    assert votes.above_tree_line == 0
 
 
 def test_water_votes_on_level_ground_alone() -> None:
-    plain, votes = (cast(Label.WATER, limits, wall_deg=0.0) for limits in (None, GrowthLimits(steepest_deg=None)))
+    plain, votes = (cast(Label.WATER, limits, wall_deg=0.0) for limits in (None, np.inf))
     slope, level = west_of(plain, FOOT - 30), plain.only(plain.centres()[:, 0] > FOOT + 30)
     assert min(len(slope), len(level)) > 3
     assert len(west_of(votes, FOOT - 30)) == 0
     assert same(level, votes.only(votes.centres()[:, 0] > FOOT + 30))
     assert votes.too_steep >= slope.counts.sum()
-
-
-def test_trees_above_the_tree_line_do_not_vote_and_shrubs_do() -> None:
-    line = 60.0  # the slope passes it at x = 128.7
-    limits = GrowthLimits(steepest_deg=None, tree_line_m=line)
-    votes, plain = cast(Label.TREE, limits), cast(Label.TREE, None)
-    assert same(west_of(plain, 120.0), west_of(votes, 120.0))
-    assert len(plain) > len(votes) == len(west_of(votes, 150.0))
-    assert votes.above_tree_line >= plain.counts.sum() - west_of(plain, 150.0).counts.sum()
-    assert votes.too_steep == 0
-    assert same(cast(Label.SHRUB, limits), cast(Label.SHRUB, None))
 
 
 def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
@@ -107,10 +95,10 @@ def test_what_is_left_of_a_cell_does_not_stand_for_all_of_it() -> None:
     mostly_trees = np.full((64, 96), Label.TREE, np.uint8)
     mostly_trees[::2, ::2] = Label.BARE
     assert len(on_the_wall(cast(mostly_trees, None))) > 3
-    assert len(on_the_wall(cast(mostly_trees, GrowthLimits()))) == 0
+    assert len(on_the_wall(cast(mostly_trees, STEEPEST_DEG))) == 0
     mostly_bare = np.full((64, 96), Label.BARE, np.uint8)
     mostly_bare[::2, ::2] = Label.TREE
-    few = on_the_wall(cast(mostly_bare, GrowthLimits()))
+    few = on_the_wall(cast(mostly_bare, STEEPEST_DEG))
     assert len(few) > 3
     assert few.counts[:, Label.TREE].sum() == 0
     plain = on_the_wall(cast(mostly_bare, None))
@@ -126,21 +114,20 @@ def test_frames_of_one_camera_and_each_alone_have_the_same_votes() -> None:
     near = np.where(np.arange(96) < 40, depth, np.nan).astype(np.float32)
 
     def caster() -> VoteCaster:
-        limits = GroundLimits(GrowthLimits(tree_line_m=70.0), FUEL, dem, LABELS)
+        limits = GroundLimits(STEEPEST_DEG, FUEL, dem, LABELS)
         return VoteCaster(FUEL, dem, votes_for, limits=limits)
 
     one = caster()
     for frame in (near, depth, near, depth):
         alone, among = (c.cast(frame, CAMERA, POSE, labels, 5, "north") for c in (caster(), one))
         assert same(alone, among)
-        assert (alone.too_steep, alone.above_tree_line) == (among.too_steep, among.above_tree_line)
-        assert min(alone.too_steep, alone.above_tree_line) > 0
+        assert alone.too_steep == among.too_steep > 0
 
 
 def test_ground_of_unknown_height_has_no_limit() -> None:
     dem = hillside(WALL_DEG)
     elevation = dem.elevation.copy()
     elevation[:, 60:] = np.nan
-    ground = GroundLimits(GrowthLimits(tree_line_m=-50.0), FUEL, Dem(elevation, dem.geometry), LABELS)
+    ground = GroundLimits(20.0, FUEL, Dem(elevation, dem.geometry), LABELS)
     assert not ground.learn(np.array([10, 11, FUEL.width + 12])).any()
     assert ground.learn(np.array([3]))[[Label.TREE, Label.WATER]].all()

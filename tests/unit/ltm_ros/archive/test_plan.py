@@ -82,11 +82,11 @@ def test_limits_of_growth_are_in_the_names_of_votes(tmp_path: Path) -> None:
     small = write_small_site(tmp_path, recording=False)
     content = yaml.safe_load(small.path.read_text())
     found = {_name(small.site, "mast")}
-    for part, growth in (({}, {"tree_line_m": 2400.0}), ({"steepest_deg": 49.0}, {}), ({"steepest_deg": None}, {})):
-        changes = {"fuel": {"growth": growth}, "expert": {"fuel": {"growth": part}}}
+    for steepest in (49.0, None):
+        changes = {"expert": {"fuel": {"steepest_deg": steepest}}}
         small.path.write_text(yaml.safe_dump(content | changes))
         found.add(_name(load_site(small.path), "mast"))
-    assert len(found) == 4
+    assert len(found) == 3
 
 
 def test_the_program_is_its_own_sources_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

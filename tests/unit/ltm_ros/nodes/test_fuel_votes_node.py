@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 from scenes.outlets import Kept
-from scenes.small_site import BEGIN_NS, GRASS, MAST, SmallSite, write_small_site
+from scenes.small_site import BEGIN_NS, MAST, SmallSite, write_small_site
 
 from ltm_core.vision.labels import Label
 from ltm_msgs_py.image import depth_to_msg, image_to_msg
@@ -32,15 +32,14 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> SmallSite:
 
 
 def frames_counted(
-    small: SmallSite, folder: Path, label: int, times: int, **growth: float
+    small: SmallSite, folder: Path, label: int, times: int, steepest_deg: float
 ) -> tuple[int, dict[str, str]]:
     """Pixels that vote of the mast's frames, all of them of one label, and what /diagnostics says."""
     content = yaml.safe_load(small.path.read_text())
     content |= {"dem": {"path": str(small.folder / "dem.tif")}, "model": str(small.folder / content["model"])}
     path = folder / "site.yaml"
-    slope = {name: growth.pop(name) for name in ("steepest_deg",) if name in growth}
-    content["expert"] = {"fuel": {"growth": slope}}
-    path.write_text(yaml.safe_dump(content | {"fuel": {"growth": growth}}))
+    content["expert"] = {"fuel": {"steepest_deg": steepest_deg}}
+    path.write_text(yaml.safe_dump(content))
     outlet, health = Kept(), Health()
     handler = FuelVotesHandler(JoinConfig(site=str(path), camera="mast"), outlet, health)
     pose = next(frame.pose for frame in small.frames(1) if frame.camera_name == "mast")
@@ -63,14 +62,9 @@ def frames_counted(
     return int(votes.counts.sum()), health.summary()
 
 
-def test_withdrawn_pixels_are_counted_by_reason(small: SmallSite, tmp_path: Path) -> None:
-    low, _ = np.nanpercentile(small.dem.elevation, [40, 60])
-    everything, summary = frames_counted(small, tmp_path, Label.TREE, 1, steepest_deg=89.9)
+def test_withdrawn_pixels_are_counted(small: SmallSite, tmp_path: Path) -> None:
+    everything, summary = frames_counted(small, tmp_path, Label.TREE, 1, 89.9)
     assert not [key for key in summary if key.startswith("withdrawn")]
-    left, summary = frames_counted(small, tmp_path, Label.TREE, 2, steepest_deg=89.9, tree_line_m=float(low))
+    left, summary = frames_counted(small, tmp_path, Label.TREE, 2, 8.0)
     assert 0 < left < everything
-    assert 2 * (everything - left) >= int(summary["withdrawn.above_tree_line"]) > 0
-    assert "withdrawn.too_steep" not in summary
-    left, summary = frames_counted(small, tmp_path, GRASS, 1, steepest_deg=8.0)
-    assert 0 < left < everything
-    assert everything - left >= int(summary["withdrawn.too_steep"]) > 0
+    assert 2 * (everything - left) >= int(summary["withdrawn.too_steep"]) > 0
