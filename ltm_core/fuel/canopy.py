@@ -10,7 +10,6 @@ B and N follow from cover and height: crowns stand at random, so that N pi r^2 =
 0.15 H, and stems are H / 70 thick. These shares are assumed; only changes of a stand are used, in which they all but
 cancel. Of broadleaved stands it says nothing."""
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -46,18 +45,10 @@ _ALLOMETRY: Final = {
 """(a, b, c) and (d, e, f)."""
 
 
-@dataclass(frozen=True, eq=False)
-class SeenCanopy:
-    """Observed canopy, (H, W) each, NaN where it was not measured. `cover`: %; `height`: mean of the canopy's top over
-    bare earth, metres, 0 where no canopy is left."""
-
-    cover: Float32Array
-    height: Float32Array
-
-
-def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | None:
-    """Return the canopy of the cells of a fuel grid (in the map frame) that have changed by at least a quarter; None if
-    nothing is confirmed, or if the earlier canopy is unknown."""
+def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> Float32Array | None:
+    """Return the canopy (2, H, W) of the cells of a fuel grid (in the map frame) that have changed by at least a
+    quarter: cover in %, and the mean of the canopy's top over bare earth in metres, 0 where no canopy is left; NaN where
+    it was not measured. None if nothing is confirmed, or if the earlier canopy is unknown."""
     if terrain.surface is None or not terrain.canopy_known:
         return None
     cells = terrain.surface
@@ -71,7 +62,7 @@ def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> SeenCanopy | N
     for start in range(0, len(chosen), _CELLS):
         part = chosen[start : start + _CELLS]
         found[:, part] = _measured(terrain, grid, part, side)
-    return SeenCanopy(*found.reshape(2, *grid.shape))
+    return found.reshape(2, *grid.shape)
 
 
 def _measured(terrain: ConfirmedTerrain, grid: GridGeometry, cells: IndexArray, side: int) -> Float32Array:
@@ -90,13 +81,13 @@ def _measured(terrain: ConfirmedTerrain, grid: GridGeometry, cells: IndexArray, 
 
 
 def with_seen_canopy(
-    bands: Int16Array, seen: SeenCanopy, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
+    bands: Int16Array, seen: Float32Array, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
 ) -> Int16Array:
-    """Return canopy bands (4, H, W) of cells with trees, updated by observations: cover and height as measured; crown
-    base and bulk density change in proportion to the allometry of such stands. Base and density of broadleaved `codes`
+    """Return canopy bands (4, H, W) of cells with trees, updated by observations (`seen_canopy`): cover and height as
+    measured; crown base and bulk density change in proportion to the allometry of such stands. Base and density of broadleaved `codes`
     (H, W), and cells without trees, do not change."""
     cover, height, base, density = (band.astype(np.float64) for band in bands)
-    share, tops = seen.cover.astype(np.float64), 10.0 * seen.height.astype(np.float64)
+    share, tops = seen[0].astype(np.float64), 10.0 * seen[1].astype(np.float64)
     now = np.isfinite(share) & np.isfinite(tops) & (cover > 0) & (height > 0)
     was, is_ = (crown_fuel(c, h / 10, forest) for c, h in ((cover, height), (share, tops)))
     with np.errstate(divide="ignore", invalid="ignore"):

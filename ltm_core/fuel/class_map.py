@@ -33,17 +33,12 @@ class MajorityFuelMap:
         self.geometry = geometry
         self.totals: NDArray[np.uint64] = np.zeros((*geometry.shape, classes), np.uint64)
 
-    def add(self, votes: CellVotes) -> tuple[int, int, int, int] | None:
-        """Count a frame's votes; the changed tile (row, col, height, width), or None where it saw nothing. Raises
-        ImageError for votes on another grid or over other classes."""
+    def add(self, votes: CellVotes) -> None:
+        """Count a frame's votes. Raises ImageError for votes on another grid or over other classes."""
         own, given = (self.geometry, self.totals.shape[2]), (votes.geometry, votes.counts.shape[1])
         if given != own:
             raise ImageError(f"votes of {votes.source} have grid and classes {given}, but this map {own}")
-        if len(votes.rows) == 0:
-            return None
         np.add.at(self.totals, (votes.rows, votes.cols), votes.counts)
-        row, col = int(votes.rows.min()), int(votes.cols.min())
-        return row, col, int(votes.rows.max()) - row + 1, int(votes.cols.max()) - col + 1
 
     def classes(self) -> UInt8Array:
         """Return the winning class of every cell, (H, W) uint8; UNSEEN without votes."""

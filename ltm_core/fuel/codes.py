@@ -98,10 +98,13 @@ class FuelModels(StrictModel):
     fbfm40: dict[int, FuelModel]
     nonburnable: dict[int, NonburnableModel]
 
+    def find(self, code: int) -> FuelModel | NonburnableModel | None:
+        """Return the model of a code; None for an invalid code."""
+        return self.fbfm40.get(code) or self.fbfm13.get(code) or self.nonburnable.get(code)
+
     def name(self, code: int) -> str:
         """Return a name such as GR2, FM4 or NB9; the number itself for an invalid code."""
-        known = self.fbfm40.get(code) or self.fbfm13.get(code) or self.nonburnable.get(code)
-        return str(code) if known is None else known.name
+        return str(code) if (known := self.find(code)) is None else known.name
 
     def codes(self, system: FuelSystem) -> frozenset[int]:
         """Return the codes of a system, non-burnable ones included."""
@@ -221,9 +224,7 @@ class FuelClimate(StrictModel):
 
 def code_color(code: int) -> Color:
     """Return the colour of a fuel code of either system; grey where it is none."""
-    models = fuel_models()
-    known = models.fbfm40.get(code) or models.fbfm13.get(code) or models.nonburnable.get(code)
-    return (222, 222, 220) if known is None else known.color
+    return (222, 222, 220) if (known := fuel_models().find(code)) is None else known.color
 
 
 def code_colors(codes: Int16Array) -> UInt8Array:

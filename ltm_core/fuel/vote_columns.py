@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ltm_core.base.errors import MessageError
 from ltm_core.base.types import Columns, Int32Array, take
+from ltm_core.fuel.rules import FRAME_CAP
 from ltm_core.fuel.votes import CellVisibility, CellVotes
 from ltm_core.geometry.grid import GridGeometry
 
@@ -43,14 +44,13 @@ def fitting(votes: CellVotes) -> CellVotes:
     limit = (MAX_BYTES - _HEADER_BYTES) // point
     if len(votes) <= limit:
         return votes
-    cells = votes.rows.astype(np.int64) * votes.geometry.width + votes.cols
-    strongest = votes.strongest(limit - limit // 4)
-    chosen = np.isin(cells, strongest.rows.astype(np.int64) * votes.geometry.width + strongest.cols)
-    others = np.flatnonzero(~chosen)
+    worth = np.minimum(votes.counts.sum(axis=1), FRAME_CAP)
+    if votes.visibility is not None:
+        worth *= votes.visibility.placement(votes.geometry.resolution)
+    strongest, others = np.split(np.argsort(-worth, kind="stable"), [limit - limit // 4])
     rounds = -(-len(others) // (limit // 4))
     turn = zlib.crc32(votes.stamp_ns.to_bytes(8, "little", signed=True))
-    chosen[others[turn % rounds :: rounds]] = True
-    return votes.only(chosen)
+    return votes.only(np.sort(np.concatenate([strongest, np.sort(others)[turn % rounds :: rounds]])))
 
 
 def votes_to_columns(votes: CellVotes, class_names: Sequence[str]) -> Columns:

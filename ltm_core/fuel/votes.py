@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, UInt8Array, UInt32Array
 from ltm_core.fuel.life_form import GroundLimits
-from ltm_core.fuel.rules import FRAME_CAP
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, checked_covariance
@@ -145,15 +144,6 @@ class CellVotes:
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    def strongest(self, limit: int) -> "CellVotes":
-        """Return the votes of at most `limit` cells with the highest weight as evidence: the best located ones with at
-        least one pixel; in row-major order."""
-        if len(self) <= limit:
-            return self
-        pixels = np.minimum(self.counts.sum(axis=1), FRAME_CAP).astype(np.float64)
-        worth = pixels if self.visibility is None else pixels * self.visibility.placement(self.geometry.resolution)
-        return self.only(np.sort(np.argsort(-worth, kind="stable")[:limit]))
 
     def only(self, chosen: NDArray[Any]) -> "CellVotes":
         """Return the votes of some of the cells: indices in rising order, or a mask (N,)."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ltm_core.base.errors import ImageError, PoseError
+from ltm_core.base.errors import ImageError
 from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RecordArray, UInt8Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, checked_covariance
 from ltm_core.surface.cell_layout import TILE, FrameSums, clear, sum_of
 from ltm_core.surface.observation_kernel import ObservationLimits, Pixels, observe
 from ltm_core.surface.reference_surface import (
@@ -136,12 +136,7 @@ class DepthFrame:
             if array is not None and array.shape != shape:
                 raise ImageError(f"{name} image of {array.shape} does not fit a camera of {shape} (rows, columns)")
         if self.covariance is not None:
-            matrix = np.asarray(self.covariance, np.float64)
-            if matrix.shape != (6, 6) or not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
-                raise PoseError(
-                    f"the pose of {self.source} has an invalid covariance: it must be a finite 6 x 6 matrix "
-                    f"without negative variances, got {matrix.tolist()}"
-                )
+            checked_covariance(self.covariance)
 
 
 class Observer:

@@ -6,7 +6,7 @@ residuals of open ground, and the pose's covariance as the prior. Canopy takes n
 view would look like a turned camera."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,10 +40,6 @@ class Registration:
     covariance: Float64Array
     samples: int
     residual: tuple[float, float]
-
-    def frame(self, frame: DepthFrame) -> DepthFrame:
-        """Return the frame with the pose that was found."""
-        return replace(frame, pose=self.pose, covariance=self.covariance)
 
 
 def register(

@@ -1,7 +1,7 @@
 """The surface map of a site, updated by posed depth images."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,7 +108,7 @@ class SurfaceMap:
         covariance = self._assumed_covariance if frame.covariance is None else frame.covariance
         turned = self._registered(frame, covariance) if config.register_frames else None
         if turned is not None:
-            frame, covariance = turned.frame(frame), turned.covariance
+            frame, covariance = replace(frame, pose=turned.pose), turned.covariance
         sums = self._observer.observe(frame, covariance)
         keys, left_out = self._nearest(sums.seen_tiles, frame)
         pool.require(keys)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from ltm_core.base.types import Float64Array
-from ltm_core.fuel.canopy import SeenCanopy, with_seen_canopy
+from ltm_core.base.types import Float32Array, Float64Array
+from ltm_core.fuel.canopy import with_seen_canopy
 from ltm_core.fuel.class_map import UNSEEN
 from ltm_core.fuel.codes import FuelClimate, FuelSystem
 from ltm_core.fuel.decision import FuelLayers
@@ -81,7 +81,7 @@ def make_landscape(
     climate: FuelClimate,
     system: FuelSystem,
     target: GridGeometry | None = None,
-    seen: SeenCanopy | None = None,
+    seen: Float32Array | None = None,
 ) -> Landscape:
     """Return the landscape of a fuel map on its own grid or on `target`. A cell has all of elevation, slope, aspect and
     code, or none.
@@ -89,7 +89,7 @@ def make_landscape(
     Args:
         source: the grid of layers and prior, in the site's CRS.
         dem: in the map frame of `frame`.
-        seen: the canopy that was measured, on the grid of the layers; None: nowhere."""
+        seen: the canopy that was measured (`seen_canopy`), on the grid of the layers; None: nowhere."""
     transfer = GridTransfer(source, source if target is None else target)
     canopy = canopy_bands(layers, prior, climate)
     if seen is not None:

@@ -37,13 +37,6 @@ def test_totals_win_not_frames() -> None:
     assert fuel.classes().dtype == np.uint8
 
 
-def test_the_changed_tile() -> None:
-    fuel = MajorityFuelMap(GRID, 3)
-    assert fuel.add(FRAMES[0]) == (0, 1, 3, 3)
-    assert fuel.add(votes({(1, 2): [1, 0, 0]})) == (1, 2, 1, 1)
-    assert fuel.add(votes({})) is None
-
-
 def test_counts_beyond_32_bits() -> None:
     fuel = MajorityFuelMap(GRID, 3)
     for _ in range(2):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.types import Int16Array
-from ltm_core.fuel.canopy import SeenCanopy, crown_fuel, seen_canopy, with_seen_canopy
+from ltm_core.fuel.canopy import crown_fuel, seen_canopy, with_seen_canopy
 from ltm_core.fuel.codes import ForestType
 from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.grid import GridGeometry
@@ -38,8 +38,8 @@ def test_cover_and_height_are_those_of_what_is_left() -> None:
     assert seen.height[1, 2] == pytest.approx(20.0, abs=0.5)
 
 
-def canopy(cover: list[float], height: list[float]) -> SeenCanopy:
-    return SeenCanopy(*(np.array([v], np.float32) for v in (cover, height)))
+def canopy(cover: list[float], height: list[float]) -> Float32Array:
+    return np.array([[cover], [height]], np.float32)
 
 
 def bands_of(cells: int) -> Int16Array:
@@ -71,7 +71,7 @@ def test_a_stand_that_is_low_now_is_no_denser_than_stands_are(said: int, most: i
     """By the regressions alone one of 15 m that is 3 m high now would have 8 kg/m3."""
     bands = np.array([55, 150, 15, said], np.int16).reshape(4, 1, 1)
     cover, height = (np.full((1, 1), value, np.float32) for value in (95, 3))
-    found = with_seen_canopy(bands, SeenCanopy(cover, height), np.full((1, 1), 183, np.int16))
+    found = with_seen_canopy(bands, np.stack([cover, height]), np.full((1, 1), 183, np.int16))
     assert found[:2].ravel().tolist() == [95, 30]
     assert found[3, 0, 0] == most
 

@@ -221,7 +221,7 @@ def test_bad_frames_are_named() -> None:
         surface.add(replace(good, source="north"))
     with pytest.raises(ImageError, match=r"sigma image of \(7, 5\)"):
         replace(good, sigma=np.ones((7, 5), np.float32))
-    with pytest.raises(PoseError, match="invalid covariance"):
+    with pytest.raises(PoseError, match="negative variances"):
         replace(good, covariance=-np.eye(6))
     under = Pose(good.pose.position - np.array([0.0, 0.0, 60.0]), good.pose.rotation)
     with pytest.raises(PoseError, match="under the ground"):
