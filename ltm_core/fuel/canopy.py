@@ -47,8 +47,8 @@ _ALLOMETRY: Final = {
 
 def seen_canopy(terrain: ConfirmedTerrain, grid: GridGeometry) -> Float32Array | None:
     """Return the canopy (2, H, W) of the cells of a fuel grid (in the map frame) that have changed by at least a
-    quarter: cover in %, and the mean of the canopy's top over bare earth in metres, 0 where no canopy is left; NaN where
-    it was not measured. None if nothing is confirmed, or if the earlier canopy is unknown."""
+    quarter: cover in %, and mean of the canopy's top over bare earth in metres, 0 where no canopy is left; NaN where it
+    was not measured. None if nothing is confirmed, or if the earlier canopy is unknown."""
     if terrain.surface is None or not terrain.canopy_known:
         return None
     cells = terrain.surface
@@ -84,8 +84,8 @@ def with_seen_canopy(
     bands: Int16Array, seen: Float32Array, codes: Int16Array, forest: ForestType = ForestType.MIXED_CONIFER
 ) -> Int16Array:
     """Return canopy bands (4, H, W) of cells with trees, updated by observations (`seen_canopy`): cover and height as
-    measured; crown base and bulk density change in proportion to the allometry of such stands. Base and density of broadleaved `codes`
-    (H, W), and cells without trees, do not change."""
+    measured; crown base and bulk density change in proportion to the allometry of such stands. Base and density of
+    broadleaved `codes` (H, W), and cells without trees, do not change."""
     cover, height, base, density = (band.astype(np.float64) for band in bands)
     share, tops = seen[0].astype(np.float64), 10.0 * seen[1].astype(np.float64)
     now = np.isfinite(share) & np.isfinite(tops) & (cover > 0) & (height > 0)

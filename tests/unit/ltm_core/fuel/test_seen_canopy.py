@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ltm_core.base.types import Int16Array
+from ltm_core.base.types import Float32Array, Int16Array
 from ltm_core.fuel.canopy import crown_fuel, seen_canopy, with_seen_canopy
 from ltm_core.fuel.codes import ForestType
 from ltm_core.fuel.life_form import NODATA
@@ -33,9 +33,9 @@ def terrain(changed_cols: int) -> ConfirmedTerrain:
 def test_cover_and_height_are_those_of_what_is_left() -> None:
     seen = seen_canopy(terrain(15), FUEL)
     assert seen is not None
-    assert np.argwhere(np.isfinite(seen.cover)).tolist() == [[1, 2]]
-    assert seen.cover[1, 2] == pytest.approx(100 / 3, abs=0.5)
-    assert seen.height[1, 2] == pytest.approx(20.0, abs=0.5)
+    assert np.argwhere(np.isfinite(seen[0])).tolist() == [[1, 2]]
+    assert seen[0, 1, 2] == pytest.approx(100 / 3, abs=0.5)
+    assert seen[1, 1, 2] == pytest.approx(20.0, abs=0.5)
 
 
 def canopy(cover: list[float], height: list[float]) -> Float32Array:
