@@ -23,7 +23,7 @@ from ltm_core.storage.disk_io import is_file
 
 Color = tuple[int, int, int]
 CUSTOM: Final = range(14, 90)
-"""Codes that both systems reserve for custom fuel models (Scott and Burgan 2005, table 3)."""
+"""Codes that both systems reserve for custom fuel models (Scott and Burgan 2005, table 3); no label changes them."""
 _GRASS, _SHRUB, _TIMBER, _SLASH = range(1, 4), range(4, 8), range(8, 11), range(11, 14)
 FUEL_TYPES: Final[Mapping[range, range]] = {
     range(101, 110): _GRASS,
@@ -46,11 +46,6 @@ def of_one_fuel_type(fbfm40: Int16Array, fbfm13: Int16Array) -> BoolArray:
         agree[np.ix_(own, [*burnable, *NONBURNABLE])] = False
         agree[np.ix_(own, others)] = True
     return np.asarray(agree[_index(fbfm40), _index(fbfm13)])
-
-
-def is_custom(codes: Int16Array) -> BoolArray:
-    """Return whether a code is a custom fuel model: it has no table entry, and no label changes it."""
-    return (codes >= CUSTOM.start) & (codes < CUSTOM.stop)
 
 
 def _index(codes: Int16Array) -> Int16Array:

@@ -49,11 +49,6 @@ def barrier_codes(barriers: Iterable[BarrierConfig], geometry: GridGeometry) -> 
     return codes
 
 
-def with_barriers(codes: Int16Array, barriers: Int16Array) -> Int16Array:
-    """Return (H, W) fuel codes replaced by those of `barrier_codes` where a code is known."""
-    return np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
-
-
 def covered_share(areas: Sequence[Any], geometry: GridGeometry) -> Float32Array:
     """Return (H, W) the share of each cell that areas cover, 0 to 1; GeoJSON geometries in the grid's CRS."""
     from rasterio.features import rasterize

@@ -11,10 +11,10 @@ from ltm_core.base.errors import RasterError
 from ltm_core.base.strict_model import Expert, StrictModel, Written
 from ltm_core.base.types import Float32Array, Int16Array
 from ltm_core.fuel.band_values_io import in_landfire_units, read_quantity
-from ltm_core.fuel.codes import CUSTOM, FuelSystem, fuel_models, is_custom, of_one_fuel_type, system_of_codes
+from ltm_core.fuel.codes import CUSTOM, FuelSystem, fuel_models, of_one_fuel_type, system_of_codes
 from ltm_core.fuel.fuel_bands_io import CODES, FuelBand, meaning, open_bands, quantity_of
 from ltm_core.fuel.life_form import NODATA, NONBURNABLE
-from ltm_core.fuel.overlays_io import BarrierConfig, barrier_codes, with_barriers
+from ltm_core.fuel.overlays_io import BarrierConfig, barrier_codes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.disk_io import is_folder, is_there
 
@@ -139,8 +139,8 @@ def load_prior(config: PriorConfig, geometry: GridGeometry) -> FuelPrior:
     barriers = barrier_codes(config.barriers, geometry)
     for name in ("fbfm40", "fbfm13"):
         if name in read:
-            read[name] = _known_codes(read[name], FuelSystem(name), paths[name], config.unknown_codes)
-            read[name] = with_barriers(read[name], barriers)
+            codes = _known_codes(read[name], FuelSystem(name), paths[name], config.unknown_codes)
+            read[name] = np.where((barriers != NODATA) & (codes != NODATA), barriers, codes)
     canopy = None
     if any(name in read for name in CANOPY_BANDS):
         unknown = np.full(geometry.shape, NODATA, np.int16)
@@ -223,7 +223,7 @@ def _known_codes(codes: Int16Array, system: FuelSystem, path: Path, others: str)
     standard = [*fuel_models().codes(system)]
     values, counts = np.unique(codes[codes != NODATA], return_counts=True)
     ours = np.isin(values, standard)
-    other = ~ours & ~is_custom(values)
+    other = ~ours & ~np.isin(values, [*CUSTOM])  # a custom model has no table entry
     looks = ""
     if other.sum() > 1 and 2 * counts[other].sum() > counts.sum():
         looks = "a vegetation type or another quantity"

@@ -112,7 +112,8 @@ def supported_changes(
     import cv2
 
     def summed(values: NDArray[Any], side: int) -> NDArray[Any]:
-        return cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        total = cv2.boxFilter(values, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(total)
 
     kept = np.zeros(wanted.shape, np.bool_)
     for form in np.unique(wanted[wanted > 0]):

@@ -219,4 +219,5 @@ def _too_steep(mask: Any, x: float, y: float, grid: tuple[float, float, float], 
     x_min, y_max, resolution = grid
     east = min(max(int(((np.float64(x) - x_min) / resolution - col) * PARTS), 0), PARTS - 1)
     south = min(max(int(((y_max - np.float64(y)) / resolution - row) * PARTS), 0), PARTS - 1)
-    return (mask[row, col] & np.uint16(1 << (south * PARTS + east))) != 0
+    marked: bool = (mask[row, col] & np.uint16(1 << (south * PARTS + east))) != 0
+    return marked

@@ -214,11 +214,6 @@ class Reference:
     def canopy_known(self) -> bool:
         return self.surface is not self.bare
 
-    @property
-    def surface_dem(self) -> Dem:
-        """Return the surface (with what stands on the ground) as a DEM for the tracer."""
-        return Dem(self.surface, self.geometry)
-
     @classmethod
     def of(cls, bare: Dem, surface: Dem | None = None, resolution: float | None = None) -> "Reference":
         """Return both hypotheses at the cell centres of a grid over `bare` with cells of `resolution` (default: its

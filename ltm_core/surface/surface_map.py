@@ -8,6 +8,7 @@ import numpy as np
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import Float32Array, Float64Array, Int32Array
 from ltm_core.geometry.pose import Pose
+from ltm_core.raster.dem import Dem
 from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import CellChanges, FrameRecord
 from ltm_core.surface.cell_layout import TILE
@@ -70,7 +71,7 @@ class SurfaceMap:
         self.reference, self.config, self.cameras = reference, config, tuple(cameras)
         self._assumed_covariance = (assumed_pose_error or PoseErrorConfig()).covariance()
         # What lies beyond the map is not its business: where no ground of it is, anything that is seen stands free.
-        self._tracer = TerrainTracer(reference.surface_dem, curvature, refraction, NOTHING_BEYOND)
+        self._tracer = TerrainTracer(Dem(reference.surface, reference.geometry), curvature, refraction, NOTHING_BEYOND)
         self._limits = ObservationLimits(
             config.min_range, config.max_range, config.confidence, config.threshold / 2, config.tallest, _OWN_SIGMA,
             config.threshold,
