@@ -99,10 +99,10 @@ _BIT = np.uint16(1) << np.arange(PARTS * PARTS, dtype=np.uint16).reshape(PARTS, 
 
 class GroundLimits:
     """Parts of the fuel grid's cells that are too steep: for plants above `steepest_deg` (None: no limit), for water
-    above WATER_STEEPEST_DEG. The terrain is read once per cell, when a frame first
-    sees it. `masks`: (2, H, W) uint16, a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west:
-    where no plant is believed, and where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2 for water, each
-    as soon as its mask has a bit; 0 for all else."""
+    above WATER_STEEPEST_DEG. The terrain is read once per cell, when a frame first sees it. `masks`: (2, H, W) uint16,
+    a bit for each of a cell's PARTS x PARTS parts, row by row from the north-west: where no plant is believed, and
+    where no water. `kinds`: (256,) uint8 by label id: 1 for plants, 2 for water, each as soon as its mask has a bit; 0
+    for all else."""
 
     def __init__(self, steepest_deg: float | None, geometry: GridGeometry, dem: Dem, labels: LabelSet) -> None:
         self._steepest_deg, self._geometry, self._dem = steepest_deg, geometry, dem
