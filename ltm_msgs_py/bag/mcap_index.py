@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -76,14 +77,10 @@ class McapIndex:
         """Read a file's index. Raises RecordingError when the file cannot be opened or is no MCAP."""
         index = cls(path)
         with index._opened() as stream:
-            try:
-                magic = stream.read(len(MAGIC))
-                if magic != MAGIC:
-                    raise RecordingError(_not_mcap(path, magic))
-                if not index._read_summary(stream):
-                    index._scan(stream)
-            except OSError as error:
-                raise RecordingError(f"cannot read {path}: {error}") from error
+            if (magic := stream.read(len(MAGIC))) != MAGIC:
+                raise RecordingError(_not_mcap(path, magic))
+            if not index._read_summary(stream):
+                index._scan(stream)
         return index
 
     def messages(
@@ -120,9 +117,11 @@ class McapIndex:
                 for place, one in enumerate(wanted):
                     heapq.heappush(waiting, (one.log_time, offset, place, one))
 
-    def _opened(self) -> BinaryIO:
+    @contextmanager
+    def _opened(self) -> Iterator[BinaryIO]:
         try:
-            return self.path.open("rb")
+            with self.path.open("rb") as stream:
+                yield stream
         except OSError as error:
             raise RecordingError(f"cannot read {self.path}: {error}") from error
 

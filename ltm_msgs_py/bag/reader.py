@@ -273,19 +273,15 @@ def by_log_time(
     `begins`: of each stream, None: empty. Only streams that overlap in time are open together."""
     waiting = sorted(((begin, number) for number, begin in enumerate(begins) if begin is not None), reverse=True)
     heads: list[tuple[int, int, MessageT, Iterator[MessageT]]] = []
-
-    def advance(number: int, stream: Iterator[MessageT]) -> None:
-        if (message := next(stream, None)) is not None:
-            heapq.heappush(heads, (message.log_time_ns, number, message, stream))
-
     while waiting or heads:
-        while waiting and (not heads or waiting[-1][0] <= heads[0][0]):
+        if waiting and (not heads or waiting[-1][0] <= heads[0][0]):
             _, number = waiting.pop()
-            advance(number, stream_of(number))
-        if heads:
+            stream = stream_of(number)
+        else:
             _, number, message, stream = heapq.heappop(heads)
             yield number, message
-            advance(number, stream)
+        if (following := next(stream, None)) is not None:
+            heapq.heappush(heads, (following.log_time_ns, number, following, stream))
 
 
 def _type_of(file: Storage, channel: Channel) -> str:

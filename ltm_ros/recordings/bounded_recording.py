@@ -143,7 +143,7 @@ class BoundedRecording:
     def _make_room(self) -> None:
         for _ in self._ring.make_room(self._limits.split.most_bytes):
             self._health.note("files_removed")
-        self._health.gauge("recorded_bytes", self._ring.total())
+        self._health.gauge("recorded_bytes", sum(self._ring.sizes().values()))
 
     def _refuse(self, cause: str, why: str, topic: str, cdr: bytes) -> None:
         """Drop a message; the last one of a latched topic waits for a recording, because it is not repeated."""

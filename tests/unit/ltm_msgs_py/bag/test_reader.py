@@ -33,7 +33,7 @@ def bag(tmp_path: Path) -> Path:
     times = [1000 + 10 * i for i in range(COUNT)]
     for i in range(3, COUNT, 4):
         times[i - 1], times[i] = times[i], times[i - 1]
-    with BagWriter(tmp_path / "bag", compression=None, chunk_size=2500) as writer:
+    with BagWriter(tmp_path / "bag", compression=CompressionType.NONE, chunk_size=2500) as writer:
         writer.add_topic("/odd", "std_msgs/msg/String", latched=True)
         for i, time in enumerate(times):
             writer.write("/odd" if i % 2 else "/even", String(data=text(i)), time, time - 1)

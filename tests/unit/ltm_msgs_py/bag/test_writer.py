@@ -121,7 +121,7 @@ def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_anoth
 ) -> None:
     if not readable:
         monkeypatch.setattr(McapIndex, "open", lambda path: BagReader(path / "absent"))
-    writer = BagWriter(tmp_path / "bag", compression=None, chunk_size=25_000)
+    writer = BagWriter(tmp_path / "bag", compression=CompressionType.NONE, chunk_size=25_000)
     writer.write("/a", String(data="0" * 10_000), 0)
     writer.flush()
     (bag,) = (tmp_path / "bag").glob("*.mcap")
@@ -146,7 +146,7 @@ def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_anoth
 
 def test_a_bag_of_several_files(tmp_path: Path) -> None:
     split = Split(most_bytes=9_000, longest_ns=1_000)
-    with BagWriter(tmp_path / "bag", compression=None, chunk_size=2_000, split=split) as writer:
+    with BagWriter(tmp_path / "bag", compression=CompressionType.NONE, chunk_size=2_000, split=split) as writer:
         writer.add_topic("/info", "std_msgs/msg/String", latched=True)
         writer.write("/info", String(data="palette"), 0)
         for i in range(9):
