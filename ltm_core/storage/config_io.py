@@ -72,7 +72,6 @@ def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[L
         raise error(f"{path}: expected an .npz with {', '.join(names)} ({type(reason).__name__}: {reason})") from reason
 
 
-
 LARGEST_FILE = 512 << 10
 """Maximum file size in bytes, parsed in about two seconds. The largest shipped file has 20 kB, a site with 50 cameras
 30 kB."""

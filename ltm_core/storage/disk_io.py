@@ -52,7 +52,6 @@ def free_bytes(path: Path) -> int:
     return room.f_bavail * room.f_frsize
 
 
-
 class DiskReserve:
     """Space on a disk, reserved by a file that is released when the disk is full.
 

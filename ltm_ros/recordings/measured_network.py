@@ -100,7 +100,7 @@ def _votes(
     dem = site.open_dem()
     fixed = {name: (c.pose.pose(dem, site.frame), None) for name, c in site.cameras.items() if c.pose is not None}
     calibrations = {name: c.calibration.camera() for name, c in site.cameras.items() if c.calibration is not None}
-    streams = [FrameStream(bag, site, cameras, _PARTS) for bag in bags]
+    streams = [FrameStream(bag, site, _PARTS, cameras) for bag in bags]
     chosen = [
         (f.stamp_ns, place, f.camera_name)
         for place, stream in enumerate(streams)
