@@ -140,7 +140,7 @@ def _join_camera(
                     manifest.unchanged += 1
                     if rules.join.drop_repeated:
                         continue
-                join.add_image(message.stamp_ns, _Picture(file, message))
+                join.add("image", message.stamp_ns, _Picture(file, message))
         except LtmError as error:
             health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")
     join.finish()

@@ -30,6 +30,10 @@ class Topic:
     def counted_name(self) -> str:
         return self.usual_name or self.name
 
+    def under(self, namespace: str) -> str:
+        """Return the absolute name in a namespace."""
+        return self.name if self.name.startswith("/") else f"{namespace}/{self.name}"
+
 
 class NodeConfig(StrictModel):
     """Parameters of every node."""

@@ -58,13 +58,13 @@ class OutletNode(Node):  # type: ignore[misc]
         """Implement Outlet."""
         self.send(topic, message)
         if not topic.latched:
-            self._count(topic, stamp_of(message))
+            self.health.published(topic.name, stamp_of(message), self.now_ns())
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
         """Implement Outlet."""
         if self.wanted(topic):
             self.send(topic, make())
-        self._count(topic, stamp_ns)
+        self.health.published(topic.name, stamp_ns, self.now_ns())
 
     def wanted(self, topic: Topic) -> bool:
         """Implement Outlet."""
@@ -76,7 +76,7 @@ class OutletNode(Node):  # type: ignore[misc]
 
     def now_ns(self) -> int:
         """Implement Outlet."""
-        return int(self.get_clock().now().nanoseconds)
+        return int(self.get_clock().now().nanoseconds)  # 0: simulated time has not begun for this node
 
     def open(self, topic: Topic) -> None:
         """Create the publisher of `topic`."""
@@ -150,9 +150,6 @@ class OutletNode(Node):  # type: ignore[misc]
     def warn(self, text: str) -> None:
         """Log a warning, at a limited rate."""
         self.get_logger().warning(text, throttle_duration_sec=5.0)
-
-    def _count(self, topic: Topic, stamp_ns: int) -> None:
-        self.health.published(topic.name, stamp_ns, self.now_ns())  # 0: simulated time has not begun for this node
 
 
 def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:

@@ -16,7 +16,6 @@ from ltm_core.pictures import RangeScale, depth_colors, label_legend, range_lege
 from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, ClassPalette, draw_texts, error_colors, error_legend
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_io import CHANGE_COLORS
-from ltm_ros.viewer.scene_geometry import TexturedMesh
 
 MAX_WIDTH = 960
 
@@ -83,16 +82,6 @@ def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
 def stand(pose: Pose) -> tuple[rr.Transform3D, rr.TransformAxes3D]:
     """Return the transform from optical frame to map, without the axis arrows that the viewer draws by default."""
     return rr.Transform3D(translation=pose.position, mat3x3=pose.rotation), rr.TransformAxes3D(0.0)
-
-
-def mesh(textured: TexturedMesh) -> rr.Mesh3D:
-    """Return the mesh without normals, because the texture contains the shading."""
-    return rr.Mesh3D(
-        vertex_positions=textured.vertices,
-        triangle_indices=textured.triangles,
-        vertex_texcoords=textured.texcoords,
-        albedo_texture=textured.texture,
-    )
 
 
 def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:

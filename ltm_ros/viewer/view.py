@@ -164,9 +164,10 @@ class RerunView:
                 log("map/fuel", rr.Clear(recursive=True))
                 for name in self._shown:
                     self._log_on_map(name)
-            changed = list(self._fuel.changed(classes))
-            for tile in changed:
-                self._log_tile(tile)
+            changed = dict(self._fuel.changed(classes))
+            for name, parts in changed.items():
+                tile = rr.Mesh3D(**parts, albedo_factor=(255, 255, 255, 200))
+                log(f"map/fuel/{name}", tile if len(parts["triangle_indices"]) else rr.Clear(recursive=False))
             if changed:
                 log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
@@ -231,7 +232,7 @@ class RerunView:
             log = self._recording
             log.log("/", archetypes.annotation_context(self._palette), static=True)
             log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            log.log("map/terrain", archetypes.mesh(scene_geometry.terrain_mesh(self._dem)), static=True)
+            log.log("map/terrain", rr.Mesh3D(**scene_geometry.terrain_mesh(self._dem)), static=True)
             log.log("legend", archetypes.legend(self._palette, self._fuel_geometry.resolution), static=True)
             self._log_relief()
             if self._site.terrain is not None:
@@ -264,9 +265,3 @@ class RerunView:
         place, name = {"positions": outline[:1], "draw_order": 3.0}, {"labels": [camera], "colors": [NAME_COLOR]}
         log(entity, rr.Points2D(**place, colors=[CAMERA_COLOR], radii=points(6.0)))
         log(f"{entity}/name", rr.Points2D(**place | name | {"draw_order": 4.0}, radii=points(2.5)))
-
-    def _log_tile(self, tile: scene_geometry.FuelTile) -> None:
-        entity = f"map/fuel/{tile.name}"
-        parts = {"vertex_positions": tile.vertices, "triangle_indices": tile.triangles, "vertex_colors": tile.colors}
-        mesh = rr.Mesh3D(**parts, albedo_factor=(255, 255, 255, 200))
-        self._recording.log(entity, mesh if len(tile.triangles) else rr.Clear(recursive=False))
