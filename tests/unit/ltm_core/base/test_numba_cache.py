@@ -101,7 +101,6 @@ def test_a_place_of_another_owner_is_not_taken(shared_tmp: tuple[Path, Path]) ->
     assert use_own_cache(source) is None
     os.chown(place, 0, 0)
     found = use_own_cache(source)
-    assert found is not None
     os.chown(found, 65_534, 65_534)
     assert use_own_cache(source) is None, "a folder of kernels that somebody left in ours"
 
@@ -175,7 +174,6 @@ def test_a_copy_of_a_releases_kernels_is_ours_alone(tmp_path: Path) -> None:
 
 def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: Path) -> None:
     first = use_own_cache(tmp_path)
-    assert first is not None
     gone = first.with_name(first.name[:-4] + "gone")
     gone.symlink_to(tmp_path / "nothing")  # listed, but not there when it is looked at
     (tmp_path / "a.py").write_text("import numba  # edited")
@@ -185,7 +183,6 @@ def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: P
 def test_a_place_in_a_common_folder_is_made_for_us_alone(shared_tmp: tuple[Path, Path]) -> None:
     source, place = shared_tmp
     found = use_own_cache(source)
-    assert found is not None
     assert found.parent == place
     assert [folder.stat().st_mode & 0o777 for folder in (place, found)] == [0o700, 0o700]
     assert use_own_cache(source) == found

@@ -71,7 +71,6 @@ def test_the_picture_s_pose_is_written_with_its_covariance(
     pose, covariance, verdict = imported_photo(site, tmp_path, photo, lambda _: labels, **stated)
     assert verdict == "accepted"
     assert np.degrees(np.abs(angles_between(TRUE, pose))).max() < 0.15
-    assert covariance is not None
     assert np.degrees(np.sqrt(covariance[5, 5])) < 0.5
 
 
@@ -86,13 +85,11 @@ def test_what_shows_no_pose_stays_as_given(
     pose, covariance, verdict = imported_photo(site, tmp_path, photo, lambda _: labels, **stated)
     assert verdict != "accepted"
     np.testing.assert_allclose(pose.angles_deg, (66.0, 1.9, 0.4), atol=1e-6)
-    assert covariance is not None
     assert np.degrees(np.sqrt(covariance[5, 5])) == pytest.approx(3.0, rel=0.01)
 
 
 def test_found_poses_that_agree_say_how_far_off_a_compass_is() -> None:
     error = CompassError.of([-11.0, -12.5, -10.0, -11.5, -80.0])
-    assert error is not None
     assert error.offset_deg == -11.5
     assert error.spread_deg == pytest.approx(1.4826 * 1.0)
     corrected = error.corrected(PosePrior(Pose.from_angles((1.0, 2.0, 3.0), 5.0, 1.0, -2.0), 8.2, 1.0, 1.0, 5.0, 1.5))
