@@ -18,7 +18,6 @@ from ltm_core.surface.confirmed_surface import AS_GIVEN, VERSION, SurfaceManifes
 from ltm_core.surface.layers import SurfaceLayers
 from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
-from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import msg_to_values, status_to_msg
 
 _FIELDS: Final[dict[str, Any]] = {
@@ -98,8 +97,3 @@ def msg_to_version(msg: Any) -> str:
 def traced_to_msg(camera: str, stamp_ns: int, version: str) -> DiagnosticArray:
     """Return the version to which the frame of a stamp was traced; AS_GIVEN: to the site's rasters."""
     return status_to_msg(f"{camera}/depth", stamp_ns, {"version": version})
-
-
-def msg_to_traced(msg: Any) -> tuple[int, str]:
-    """Return the stamp of the frame, ns, and the version. Raises MessageError if they are missing."""
-    return stamp_of(msg), msg_to_version(msg)

@@ -260,7 +260,7 @@ class NodeRow:
     """Reason of the first drop of each cause, and of each lasting problem, after its name."""
 
     @classmethod
-    def of(cls, node: str, summary: dict[str, str]) -> "NodeRow":
+    def of(cls, node: str, summary: Mapping[str, str]) -> "NodeRow":
         """Parse the key -> value texts of a node's `/diagnostics` status."""
 
         def of(kind: str) -> dict[str, str]:
@@ -276,4 +276,4 @@ class NodeRow:
 
 def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
     """Return one row per node, by name, from the key -> value texts of their diagnostics."""
-    return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]
+    return [NodeRow.of(name, summary) for name, summary in sorted(summaries.items())]
