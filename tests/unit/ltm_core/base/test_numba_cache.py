@@ -40,14 +40,21 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def answer(folder: Path, first: str = "") -> str:
-    """What a process prints that calls the kernel; it does `first`."""
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
-    paths = [str(folder), *filter(None, sys.path)]
-    code = f"{first}\nimport kernels\nfrom kernels.caller import caller; print(caller(1.0))"
+def hits(folder: Path, first: str = "", **variables: str) -> str:
+    """What a process prints that does `first` and calls the kernel: its result, how many kernels were loaded from the
+    cache, and the level they were compiled for."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | variables
+    environment["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
+    code = (
+        f"{first}\nimport kernels, numba; from kernels.caller import caller\n"
+        "print(caller(1.0), sum(caller.stats.cache_hits.values()), numba.config.CPU_NAME or '')"
+    )
     run = [sys.executable, "-c", code]
-    environment["PYTHONPATH"] = os.pathsep.join(paths)
-    return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout[:-1]
+
+
+def answer(folder: Path, first: str = "") -> str:
+    return hits(folder, first).split()[0]
 
 
 @pytest.mark.parametrize("first", ["", "import numba"])
@@ -139,19 +146,6 @@ def release(tmp_path: Path) -> Path:
     (built / "precompiled").mkdir()
     folder.rename(built / "precompiled" / precompiled_name(state, "x86-64-v2"))
     return built.parent.rename(tmp_path / "installed")
-
-
-def hits(folder: Path, **variables: str) -> str:
-    """Return the result of the kernel, how many were loaded from the cache, and the level they were compiled for."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | variables
-    environment["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
-    code = (
-        "import kernels, numba; from kernels.caller import caller\n"
-        "print(caller(1.0), sum(caller.stats.cache_hits.values()), numba.config.CPU_NAME or '')"
-    )
-    return subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    ).stdout[:-1]
 
 
 def test_a_release_runs_its_kernels_where_it_is_installed(release: Path) -> None:
