@@ -42,12 +42,7 @@ _BROKEN = (
 _PHOTOS = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
 """Suffixes of photos in a folder; .tif is excluded, because rasters use it."""
 _ORIENTATION, _DNG_VERSION, _SUBFILE_TYPE, _SUB_IFDS = 0x0112, 0xC612, 0x00FE, 0x014A
-_REDUCED = {
-    1: cv2.IMREAD_COLOR,
-    2: cv2.IMREAD_REDUCED_COLOR_2,
-    4: cv2.IMREAD_REDUCED_COLOR_4,
-    8: cv2.IMREAD_REDUCED_COLOR_8,
-}
+_REDUCED = {1: cv2.IMREAD_COLOR} | {n: getattr(cv2, f"IMREAD_REDUCED_COLOR_{n}") for n in (2, 4, 8)}
 _MOST_SCANS = 200
 """Maximum number of scans of a JPEG: a progressive one has ten. Each is a pass over all pixels, so a few kilobytes of
 empty scans take minutes."""

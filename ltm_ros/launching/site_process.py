@@ -74,12 +74,10 @@ class JobNode(OutletNode):
                 self.listen(topic, partial(self._offer, wake, topic))
 
     def publish(self, topic: Topic, message: Any) -> None:
-        """Implement Outlet."""
         self._hand_over(topic, message)
         super().publish(topic, message)
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
-        """Implement Outlet."""
         if not self._pipeline.listened(topic.under(self.spec.namespace)):
             super().provide(topic, stamp_ns, make)
             return
@@ -88,7 +86,6 @@ class JobNode(OutletNode):
         super().provide(topic, stamp_ns, lambda: message)
 
     def more_waits(self) -> bool:
-        """Implement Outlet."""
         return self._camera.more_waits
 
     def _hand_over(self, topic: Topic, message: Any) -> None:
