@@ -1,6 +1,7 @@
 """Check disk space and output paths before and while files are written."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -42,14 +43,12 @@ def sync(path: Path) -> None:
 
 def disk_bytes(path: Path) -> int:
     """Return the size of the file system that holds `path`. Raises OSError."""
-    room = os.statvfs(folder_that_exists(path))
-    return room.f_blocks * room.f_frsize
+    return shutil.disk_usage(folder_that_exists(path)).total
 
 
 def free_bytes(path: Path) -> int:
     """Return the bytes available on the file system of `path`, which need not exist yet. Raises OSError."""
-    room = os.statvfs(folder_that_exists(path))
-    return room.f_bavail * room.f_frsize
+    return shutil.disk_usage(folder_that_exists(path)).free
 
 
 class DiskReserve:

@@ -50,13 +50,12 @@ _MOST_INDEXED = 1 << 20
 
 
 @dataclass
-class McapIndex:
-    """The channels of an MCAP file and the positions of its messages.
+class FileIndex:
+    """The channels of a recording's file.
 
     `damage`: unreadable parts, with byte offsets, times and topics; empty for a complete file. `lost`: their messages
     by topic; under "", one for each part of unknown content. `unread`: parts that the system failed to read, maybe
-    temporarily. `counts`: messages per channel id. `header_end`, `chunks`: of a scanned file, the end of its header (0:
-    it has none), and each readable chunk with its messages per channel id."""
+    temporarily. `counts`: messages per channel id."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -67,6 +66,19 @@ class McapIndex:
     damage: list[str] = field(default_factory=list)
     lost: Counter[str] = field(default_factory=Counter)
     unread: list[str] = field(default_factory=list)
+
+    def type_of(self, channel: Channel) -> str:
+        schema = self.schemas.get(channel.schema_id)
+        return schema.name if schema is not None else ""
+
+
+@dataclass
+class McapIndex(FileIndex):
+    """The channels of an MCAP file and the positions of its messages.
+
+    `header_end`, `chunks`: of a scanned file, the end of its header (0: it has none), and each readable chunk with its
+    messages per channel id."""
+
     header_end: int = 0
     chunks: list[tuple[ChunkIndex, Counter[int]]] = field(default_factory=list)
     _spans: list[tuple[int, int, int]] = field(default_factory=list)
