@@ -5,7 +5,6 @@ from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
@@ -15,8 +14,6 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import Changed, ChangeKind
 from ltm_core.surface.confirmed_surface import AS_GIVEN, VERSION, SurfaceManifest
-from ltm_core.surface.layers import SurfaceLayers
-from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
 from ltm_msgs_py.status import msg_to_values, status_to_msg
 
@@ -67,11 +64,6 @@ def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
     if (kind > max(ChangeKind)).any():
         raise MessageError(f"{_WHAT}: change is {int(kind.max())}; valid kinds are 0 to {max(ChangeKind)}")
     return Changed(rows, cols, np.zeros_like(kind), kind, shift), np.column_stack(place)
-
-
-def change_to_msg(layers: SurfaceLayers, stamp_ns: int) -> OccupancyGrid:
-    """Return kinds of change of a window; -1 without independent views."""
-    return classes_to_msg(layers.told, layers.geometry, stamp_ns)
 
 
 def manifest_to_msg(manifest: SurfaceManifest) -> DiagnosticArray:

@@ -41,11 +41,6 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def disk_bytes(path: Path) -> int:
-    """Return the size of the file system that holds `path`. Raises OSError."""
-    return shutil.disk_usage(folder_that_exists(path)).total
-
-
 def free_bytes(path: Path) -> int:
     """Return the bytes available on the file system of `path`, which need not exist yet. Raises OSError."""
     return shutil.disk_usage(folder_that_exists(path)).free

@@ -145,7 +145,7 @@ class SiteProcess:
     def close(self) -> int:
         """Finish frames in flight and close the handlers; return the process's exit status."""
         for camera in self._cameras:
-            camera.stop_admitting()
+            camera.closing = True
         finished = self._scheduler.close(CLOSE_S)
         if finished:
             for camera in self._cameras:

@@ -4,6 +4,7 @@ import errno
 import math
 import os
 import queue
+import shutil
 import sys
 import threading
 import time
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Self
 
 from ltm_core.base.errors import LtmError, RecordingError
-from ltm_core.storage.disk_io import disk_bytes, free_bytes
+from ltm_core.storage.disk_io import folder_that_exists, free_bytes
 from ltm_msgs_py.bag.ring import RecordingRing
 from ltm_msgs_py.bag.writer import BagWriter, Split
 from ltm_ros.runtime.health import Health, cause_of
@@ -49,7 +50,7 @@ class RecordingLimits:
     def of(cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float) -> Self:
         """Return the limits of a configuration on the disk of `path`. Raises RecordingError without such a disk."""
         try:
-            disk = disk_bytes(path)
+            disk = shutil.disk_usage(folder_that_exists(path)).total
         except OSError as error:
             raise RecordingError(f"cannot read the disk usage of {path}: {error}") from error
         most = min(RING_BYTES, int(RING_SHARE * disk)) if max_bytes < 0 else max_bytes or None

@@ -56,19 +56,15 @@ class Outlet(Protocol):
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
         """Publish the result of `make` for a frame of this stamp if the topic has subscribers; otherwise
         only count it."""
-        ...
 
     def wanted(self, topic: Topic) -> bool:
         """Return whether the topic has subscribers. Expensive messages are built only if it has."""
-        ...
 
     def more_waits(self) -> bool:
         """Return whether this handler gets further messages at once, and then `idle`."""
-        ...
 
     def now_ns(self) -> int:
         """Return the graph's time for checking stamps: ROS time, or the recording's; 0 before it begins."""
-        ...
 
 
 ConfigT = TypeVar("ConfigT", bound=NodeConfig)
