@@ -5,7 +5,6 @@ from typing import Any, Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
@@ -15,10 +14,7 @@ from ltm_core.fuel.decision import FuelLayers
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.surface.change import Changed, ChangeKind
 from ltm_core.surface.confirmed_surface import AS_GIVEN, VERSION, SurfaceManifest
-from ltm_core.surface.layers import SurfaceLayers
-from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns
-from ltm_msgs_py.stamp import stamp_of
 from ltm_msgs_py.status import msg_to_values, status_to_msg
 
 _FIELDS: Final[dict[str, Any]] = {
@@ -70,11 +66,6 @@ def msg_to_changed(msg: Any) -> tuple[Changed, Float32Array]:
     return Changed(rows, cols, np.zeros_like(kind), kind, shift), np.column_stack(place)
 
 
-def change_to_msg(layers: SurfaceLayers, stamp_ns: int) -> OccupancyGrid:
-    """Return kinds of change of a window; -1 without independent views."""
-    return classes_to_msg(layers.told, layers.geometry, stamp_ns)
-
-
 def manifest_to_msg(manifest: SurfaceManifest) -> DiagnosticArray:
     """Return the version in use, its digest and the shares of cells seen and changed."""
     entry = manifest.entry(manifest.current)
@@ -98,8 +89,3 @@ def msg_to_version(msg: Any) -> str:
 def traced_to_msg(camera: str, stamp_ns: int, version: str) -> DiagnosticArray:
     """Return the version to which the frame of a stamp was traced; AS_GIVEN: to the site's rasters."""
     return status_to_msg(f"{camera}/depth", stamp_ns, {"version": version})
-
-
-def msg_to_traced(msg: Any) -> tuple[int, str]:
-    """Return the stamp of the frame, ns, and the version. Raises MessageError if they are missing."""
-    return stamp_of(msg), msg_to_version(msg)

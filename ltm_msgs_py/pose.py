@@ -72,15 +72,12 @@ def msg_to_transform(msg: TransformStamped) -> Pose:
     return Pose.from_quaternion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
 
 
-LINK_OPTICAL = Pose(np.zeros(3), np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
-"""Pose of `<camera>_optical` (x right, y down) in `<camera>_link` (x forward, z up), by REP-103."""
-
-
 def mount_transform(camera: str) -> TransformStamped:
-    """Return the static transform of a camera, from its link to its optical frame."""
+    """Return the static transform of a camera, from its link (x forward, z up) to its optical frame (x right, y down),
+    by REP-103."""
     made = TransformStamped(header=make_header(0, f"{camera}_link"), child_frame_id=f"{camera}_optical")
     turn = made.transform.rotation
-    turn.x, turn.y, turn.z, turn.w = -0.5, 0.5, -0.5, 0.5  # LINK_OPTICAL
+    turn.x, turn.y, turn.z, turn.w = -0.5, 0.5, -0.5, 0.5
     return made
 
 

@@ -8,12 +8,11 @@ from collections.abc import Callable, Collection, Hashable, Sequence
 from copy import deepcopy
 from functools import lru_cache
 from io import BytesIO
-from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
-import numpy as np
 import yaml
+from numpy.lib.format import read_array
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
@@ -52,7 +51,7 @@ def load_array(content: bytes, what: str, error: type[LtmError]) -> NDArray[Any]
     """Return an array from the bytes of an .npy file; `what` names it in errors. Raises `error` for other bytes, a
     wrong size, and Python objects."""
     try:
-        return _array(BytesIO(content), len(content))
+        return read_array(BytesIO(content), allow_pickle=False)
     except _BROKEN_FILE as reason:
         raise error(f"{what} is damaged: not a NumPy array ({type(reason).__name__}: {reason})") from reason
 
@@ -67,20 +66,10 @@ def load_arrays(path: Path, names: Sequence[str], most_bytes: int, error: type[L
                 if entry.file_size > most_bytes:
                     raise ValueError(f"{name} has {entry.file_size} bytes, at most {most_bytes} are read")
                 with archive.open(entry) as stream:
-                    arrays.append(_array(stream, entry.file_size))  # type: ignore[arg-type]
+                    arrays.append(read_array(stream, allow_pickle=False))
             return arrays
     except _BROKEN_FILE as reason:
         raise error(f"{path}: expected an .npz with {', '.join(names)} ({type(reason).__name__}: {reason})") from reason
-
-
-def _array(stream: BinaryIO, size: int) -> NDArray[Any]:
-    version = np.lib.format.read_magic(stream)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(stream)
-    if dtype.hasobject or min(shape, default=1) < 0 or prod(shape) * dtype.itemsize > size:
-        raise ValueError(f"states {shape} of {dtype} in {size} bytes")
-    values = np.frombuffer(stream.read(prod(shape) * dtype.itemsize), dtype)
-    return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
 
 
 LARGEST_FILE = 512 << 10

@@ -1,10 +1,10 @@
 """Check disk space and output paths before and while files are written."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 
 from ltm_core.base.errors import ConfigError
@@ -41,40 +41,9 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def disk_bytes(path: Path) -> int:
-    """Return the size of the file system that holds `path`. Raises OSError."""
-    room = os.statvfs(folder_that_exists(path))
-    return room.f_blocks * room.f_frsize
-
-
 def free_bytes(path: Path) -> int:
     """Return the bytes available on the file system of `path`, which need not exist yet. Raises OSError."""
-    room = os.statvfs(folder_that_exists(path))
-    return room.f_bavail * room.f_frsize
-
-
-class SpaceFloor:
-    """Check whether a disk has less free space than `floor` bytes.
-
-    Once it has, it counts as low until `again` bytes are free, a tenth more than the floor: a writer must not stop
-    and start with every file that other programs remove."""
-
-    def __init__(self, path: Path, floor: int) -> None:
-        self._path, self.floor = path, floor
-        self.again = floor + floor // 10
-        self.low = False
-        self.free = 0
-        """Free bytes at the last check."""
-
-    def look(self) -> bool:
-        """Check again and return `low`. A disk that cannot be queried (gone, read-only) is not low; writing will report
-        the error."""
-        try:
-            self.free = free_bytes(self._path)
-        except OSError:
-            return self.low
-        self.low = self.free < (self.again if self.low else self.floor)
-        return self.low
+    return shutil.disk_usage(folder_that_exists(path)).free
 
 
 class DiskReserve:
@@ -164,9 +133,9 @@ def require_files(files: Iterable[Path], overwrite: bool = True, what: str = "re
         if is_there(file) and not overwrite:
             raise ConfigError(f"{file}: exists already; name another file, or replace it with --overwrite")
         if is_there(file):
-            reason = _why_not(partial(_open_and_close, file))
+            reason = _why_not(lambda path: os.close(os.open(path, os.O_WRONLY)), file)
         else:
-            reason = _why_not_into(file.parent) or _why_no_name(file)
+            reason = _why_not_into(file.parent) or _why_not(Path.exists, file)  # raises for a name that is too long
         if reason is not None:
             raise ConfigError(f"{file}: cannot write {what} ({reason}): name another file")
 
@@ -176,20 +145,12 @@ def _why_not_into(folder: Path) -> str | None:
     there = folder_that_exists(folder.expanduser())
     if not is_folder(there):
         return f"{there} is not a folder"
-    return _why_not(lambda: tempfile.TemporaryFile(dir=there).close()) or _why_no_name(folder)
+    return _why_not(lambda path: tempfile.TemporaryFile(dir=path).close(), there) or _why_not(Path.exists, folder)
 
 
-def _why_no_name(place: Path) -> str | None:
-    return _why_not(place.exists)  # raises for a name that is too long
-
-
-def _open_and_close(file: Path) -> None:
-    os.close(os.open(file, os.O_WRONLY))
-
-
-def _why_not(attempt: Callable[[], object]) -> str | None:
+def _why_not(attempt: Callable[[Path], object], path: Path) -> str | None:
     try:
-        attempt()
+        attempt(path)
     except OSError as error:
         return error.strerror or str(error)
     return None

@@ -39,14 +39,10 @@ _BROKEN = (
     *(RuntimeError, MemoryError, struct.error, Image.DecompressionBombError),
 )
 """Errors that Pillow, its plugins and their EXIF parsers raise for damaged files; they have no common class."""
-_PHOTOS = {".jpg", ".jpeg", ".png"}
+_PHOTOS = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
+"""Suffixes of photos in a folder; .tif is excluded, because rasters use it."""
 _ORIENTATION, _DNG_VERSION, _SUBFILE_TYPE, _SUB_IFDS = 0x0112, 0xC612, 0x00FE, 0x014A
-_REDUCED = {
-    1: cv2.IMREAD_COLOR,
-    2: cv2.IMREAD_REDUCED_COLOR_2,
-    4: cv2.IMREAD_REDUCED_COLOR_4,
-    8: cv2.IMREAD_REDUCED_COLOR_8,
-}
+_REDUCED = {1: cv2.IMREAD_COLOR} | {n: getattr(cv2, f"IMREAD_REDUCED_COLOR_{n}") for n in (2, 4, 8)}
 _MOST_SCANS = 200
 """Maximum number of scans of a JPEG: a progressive one has ten. Each is a pass over all pixels, so a few kilobytes of
 empty scans take minutes."""
@@ -99,14 +95,15 @@ def read_picture(path: Path) -> bytes:
     return data
 
 
-def photos_in(images: Path) -> list[Path]:
-    """Return the photos of a folder by name, without label images, or a single file. Raises ImageError if there is
-    none."""
-    paths = [images] if images.is_file() else sorted(images.glob("*"))
-    photos = [path for path in paths if path.suffix.lower() in _PHOTOS and not path.stem.endswith("_labels")]
-    if not photos:
-        raise ImageError(f"{images}: no photos; expected files ending in {', '.join(sorted(_PHOTOS))}")
-    return photos
+def photos_in(images: Path, pattern: str = "*") -> list[Path]:
+    """Return the photos of a folder by name, without label images and masks, or a single file. Raises ImageError if
+    there is none."""
+    paths = [images] if images.is_file() else sorted(images.glob(pattern))
+    photos = [path for path in paths if path.suffix.lower() in _PHOTOS and path.is_file()]
+    found = [path for path in photos if not path.stem.endswith(("_labels", "_mask"))]
+    if not found:
+        raise ImageError(f"{images}: no photos match {pattern!r}; supported: {', '.join(_PHOTOS)}")
+    return found
 
 
 def read_rgb(path: Path) -> UInt8Array:

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.storage.disk_io import DiskReserve
 from ltm_core.storage.tile_store_file import (
-    KEPT_FRAMES,
     TABLES,
     checked_rows,
     count_frames,
@@ -63,18 +62,16 @@ class TileStore:
         schema: StoreSchema,
         name: str,
         lock: int | None,
-        kept_frames: int = KEPT_FRAMES,
         reserve: DiskReserve | None = None,
     ) -> None:
         self.schema = schema
         self._db, self._name, self._lock, self._reserve = database, name, lock, reserve
         self._rows = partial(checked_rows, database, name)
-        self._kept_frames = kept_frames
         self.strain = ""
         """Description of a full disk at the last commit, in words."""
 
     @classmethod
-    def open(cls, path: Path | str, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> "TileStore":
+    def open(cls, path: Path | str, schema: StoreSchema) -> "TileStore":
         """Open the store at `path`, created if missing, for exclusive writing by this process.
 
         Raises ConfigError for a file that is no store, is damaged, or was made for other content or another grid: such
@@ -91,9 +88,7 @@ class TileStore:
             if differences := schema.differences(stored):
                 database.close()
                 raise ConfigError(f"{path}: not a store of this map: {differences}; move it away or name another file")
-            store = cls(
-                database, schema, str(path), lock, kept_frames, DiskReserve(path.with_name(f".{path.name}.reserve"))
-            )
+            store = cls(database, schema, str(path), lock, DiskReserve(path.with_name(f".{path.name}.reserve")))
             store._hold()
             return store
         except BaseException:
@@ -113,11 +108,11 @@ class TileStore:
         return cls(database, schema, str(path), None)
 
     @classmethod
-    def in_memory(cls, schema: StoreSchema, kept_frames: int = KEPT_FRAMES) -> "TileStore":
+    def in_memory(cls, schema: StoreSchema) -> "TileStore":
         """Return a store in memory."""
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         database.executescript(TABLES)
-        return cls(database, schema, "memory", None, kept_frames)
+        return cls(database, schema, "memory", None)
 
     def close(self) -> None:
         """Close the store. Idempotent."""
@@ -269,7 +264,7 @@ class TileStore:
         self, packed: Sequence[tuple[int, int, bytes]], frames: Sequence[FrameRecord], changes: Sequence[CellChanges]
     ) -> None:
         with transaction(self._db, self._name) as db:
-            count_frames(db, self._name, frames, not packed, self._kept_frames)
+            count_frames(db, self._name, frames, not packed)
             db.executemany(
                 "INSERT INTO changes (layer, stamp_ns, content) VALUES (?, ?, ?)",
                 [(c.layer, c.stamp_ns, c.pack()) for c in changes if len(c.rows)],

@@ -208,9 +208,8 @@ KEPT_FRAMES = 1_000_000
 because they may have been counted. A limit by age would reject a camera whose clock was once set to another year."""
 
 
-def count_frames(db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord], keep: bool, most: int) -> None:
+def count_frames(db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord], keep: bool) -> None:
     """Count frames within a transaction on the store `name`. `keep`: with payloads, until their tiles are written.
-    `most`: stamps kept per source.
 
     Raises ValueError where a frame has been counted already, ConfigError where the store is damaged."""
     sources = {
@@ -242,14 +241,14 @@ def count_frames(db: sqlite3.Connection, name: str, frames: Sequence[FrameRecord
         [(*key, sources[frame.source], frame.model, frame.stamp_ns) for frame in frames for key in frame.tiles],
     )
     for source, number in sources.items():
-        _forget(db, name, source, number, most)
+        _forget(db, name, source, number)
 
 
-def _forget(db: sqlite3.Connection, name: str, source: str, number: int, most: int) -> None:
-    """Limit the stamps kept of a source to about the `most` newest."""
+def _forget(db: sqlite3.Connection, name: str, source: str, number: int) -> None:
+    """Limit the stamps kept of a source to about the `KEPT_FRAMES` newest."""
     ((kept,),) = checked_rows(db, name, "SELECT kept FROM sources WHERE id = ?", (number,), int)
-    spare = kept - most
-    if spare <= most // 20:
+    spare = kept - KEPT_FRAMES
+    if spare <= KEPT_FRAMES // 20:
         return
     query = "SELECT stamp_ns FROM frames WHERE source = ? ORDER BY stamp_ns LIMIT 1 OFFSET ?"
     found = checked_rows(db, name, query, (number, spare - 1), int)

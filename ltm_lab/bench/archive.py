@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mcap.writer import CompressionType
+
 from ltm_core.base.errors import ArchiveError
 from ltm_core.base.number_text import DAY_NS
 from ltm_msgs_py.bag.reader import BagReader
@@ -62,7 +64,7 @@ def measure_speedup(bag: Path, site: Path, folder: Path, days: int, say: Callabl
 def write_days(bag: Path, path: Path, days: int) -> Path:
     """Write a recording that repeats `bag` on each of `days` days, with all stamps moved."""
     reader = BagReader(bag)
-    with BagWriter(path, compression=None) as written:
+    with BagWriter(path, compression=CompressionType.NONE) as written:
         for day in range(days):
             for message in reader.messages():
                 moved = reader.decode(message)

@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import yaml
+from mcap.writer import CompressionType
 from scipy import ndimage
 
 from ltm_core.base.types import BoolArray, Float64Array, UInt8Array
@@ -124,7 +125,7 @@ def _write_bag(
     path: Path, world: World, views: dict[str, _View], changed: tuple[BoolArray, BoolArray], days: range, seed: int
 ) -> Path:
     still: dict[str, bytes] = {}
-    with BagWriter(path, compression=None) as bag:
+    with BagWriter(path, compression=CompressionType.NONE) as bag:
         for hour in range(days.start * A_DAY, days.stop * A_DAY):
             for number, (name, view) in enumerate(views.items()):
                 stamp = BEGIN_NS + hour * HOUR_NS + number * 60 * 10**9

@@ -13,7 +13,7 @@ from ltm_lab.evaluation.terrain_score import TerrainScore, score_terrain
 from ltm_msgs_py.bag.cdr import header_of
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_ros.demo.score import DEPTH_SOURCES, RunScore, RunTally
-from ltm_ros.recordings.frame_stream import StreamedFrame
+from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
 from ltm_ros.recordings.recorded_run import image_shape
 from ltm_ros.runtime.topics import (
     DEPTH_IMAGE,
@@ -51,7 +51,7 @@ class BagScore(RunScore):
 
 def score_bag(recorded: DatedRun) -> BagScore:
     """Score all frames that carry truth. Raises LtmError if the bag cannot be read."""
-    stream = recorded.stream()
+    stream = FrameStream(recorded.bag, recorded.site)
     tally = RunTally(recorded, stream)
     lines = {name: SkylineTally() for name in ("traced", "labels")}
     for frame in stream.frames():

@@ -30,7 +30,7 @@ from ltm_lab.evaluation.score_tables import tables
 from ltm_ros.demo.outcome import map_picture
 from ltm_ros.demo.report import ReportData, Sheet, write_report
 from ltm_ros.demo.score import DEPTH_SOURCES
-from ltm_ros.recordings.frame_stream import StreamedFrame
+from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
 from ltm_ros.recordings.recorded_run import Recorded, image_shape, last_fuel_map
 
 HEADING_STEP_DEG = 20.0
@@ -103,7 +103,7 @@ def views(recorded: Recorded) -> list[ScoredView]:
     """Return the first frames of each camera that differ in azimuth, in the site's order of cameras."""
     found: list[ScoredView] = []
     headings: dict[str, list[float]] = {}
-    for frame in recorded.stream().frames(["camera", "pose", "photo"]):
+    for frame in FrameStream(recorded.bag, recorded.site).frames(["camera", "pose", "photo"]):
         seen = headings.setdefault(frame.camera_name, [])
         azimuth = frame.take("pose").angles_deg[0]
         apart = [abs((azimuth - a + 180) % 360 - 180) >= HEADING_STEP_DEG for a in seen]

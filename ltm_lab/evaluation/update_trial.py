@@ -25,7 +25,7 @@ from ltm_lab.evaluation.terrain.hillside_ground import TOWERS
 from ltm_lab.evaluation.terrain.hillside_scenes import HillsideScene, SceneConditions, frames
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.cells import msg_to_traced, msg_to_version
+from ltm_msgs_py.cells import msg_to_version
 from ltm_msgs_py.image import depth_to_msg, msg_to_depth
 from ltm_msgs_py.pose import pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg
@@ -124,8 +124,7 @@ class TracedDepths:
         self._depth[camera, stamp_of(message)] = msg_to_depth(message)
 
     def _on_info(self, camera: str, message: Any) -> None:
-        stamp, version = msg_to_traced(message)
-        self._traced[camera, stamp] = version
+        self._traced[camera, stamp_of(message)] = msg_to_version(message)
 
 
 def offline_depths(site: UpdateSite) -> tuple[Depths, str]:

@@ -12,7 +12,7 @@ from ltm_ros.recordings.frame_stream import FrameStream
 
 def recorded_truth_frames(bag: Path, site: Site) -> Iterator[TruthFrame]:
     """The frames of a bag that have photo, calibration, pose and truth. Raises RecordingError, ImageError."""
-    for frame in FrameStream.open(bag, site).frames(("pose", "photo", "truth_depth", "truth_ground", "truth_labels")):
+    for frame in FrameStream(bag, site).frames(("pose", "photo", "truth_depth", "truth_ground", "truth_labels")):
         camera = frame.take("camera") or frame.take("depth_camera")
         if camera is None:
             continue

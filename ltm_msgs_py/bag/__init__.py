@@ -1,8 +1,3 @@
 """Read and write recordings: MCAP in the rosbag2 layout, without rosbag2.
 
 Source: MCAP specification and its ros2 profile; rosbag2's metadata.yaml version 9 (Jazzy)."""
-
-from ltm_msgs_py.bag.reader import BagMessage, BagReader, TopicInfo
-from ltm_msgs_py.bag.writer import BagWriter
-
-__all__ = ["BagMessage", "BagReader", "BagWriter", "TopicInfo"]

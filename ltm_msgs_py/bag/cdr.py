@@ -6,6 +6,7 @@ their size, strings (with a closing zero) and sequences after a uint32 of their 
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
@@ -24,46 +25,29 @@ _HEAD = 4
 
 
 @dataclass(frozen=True)
-class CompressedPicture:
-    """A JPEG or PNG as sent: the fields of CompressedImage."""
+class Picture:
+    """An image as sent. `about`: the fields of CompressedImage or Image besides header and data."""
 
     stamp_ns: int
-    format: str
+    about: dict[str, Any]
     data: memoryview
 
     @property
-    def size(self) -> tuple[int, int]:
-        """Return the stated (width, height). Raises ImageError."""
-        return compressed_size(self)
-
-    def rgb(self) -> UInt8Array:
-        """Return (H, W, 3). Raises ImageError."""
-        return compressed_to_rgb(self)
-
-
-@dataclass(frozen=True)
-class RawPicture:
-    """Pixels as sent: the fields of Image."""
-
-    stamp_ns: int
-    height: int
-    width: int
-    encoding: str
-    is_bigendian: int
-    step: int
-    data: memoryview
+    def _message(self) -> Any:
+        return SimpleNamespace(data=self.data, **self.about)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Return (width, height)."""
-        return self.width, self.height
+        """Return (width, height); of a compressed image, as it states. Raises ImageError."""
+        about = self.about
+        return compressed_size(self._message) if "format" in about else (about["width"], about["height"])
 
     def rgb(self) -> UInt8Array:
         """Return (H, W, 3). Raises ImageError."""
-        return msg_to_rgb(self)
+        return (compressed_to_rgb if "format" in self.about else msg_to_rgb)(self._message)
 
 
-def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
+def picture_of(raw: bytes, type_name: str) -> Picture:
     """Return the image of a serialised message. Raises RecordingError for invalid bytes, ImageError if none."""
     if type_name not in (COMPRESSED_TYPE, RAW_TYPE):
         raise ImageError(f"{type_name} contains no image; supported: {COMPRESSED_TYPE} and {RAW_TYPE}")
@@ -72,10 +56,10 @@ def picture_of(raw: bytes, type_name: str) -> CompressedPicture | RawPicture:
         stamp = fields.stamp_ns()
         fields.text()  # frame_id
         if type_name == COMPRESSED_TYPE:
-            return CompressedPicture(stamp, fields.text(), fields.data())
-        height, width = fields.number("I"), fields.number("I")
-        encoding, bigendian = fields.text(), fields.number("B")
-        return RawPicture(stamp, height, width, encoding, bigendian, fields.number("I"), fields.data())
+            return Picture(stamp, {"format": fields.text()}, fields.data())
+        about = {"height": fields.number("I"), "width": fields.number("I"), "encoding": fields.text()}
+        about |= {"is_bigendian": fields.number("B"), "step": fields.number("I")}
+        return Picture(stamp, about, fields.data())
     except (struct.error, ValueError) as error:
         raise RecordingError(f"{len(raw)} bytes do not decode as {type_name} ({error})") from error
 

@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -49,13 +50,12 @@ _MOST_INDEXED = 1 << 20
 
 
 @dataclass
-class McapIndex:
-    """The channels of an MCAP file and the positions of its messages.
+class FileIndex:
+    """The channels of a recording's file.
 
     `damage`: unreadable parts, with byte offsets, times and topics; empty for a complete file. `lost`: their messages
     by topic; under "", one for each part of unknown content. `unread`: parts that the system failed to read, maybe
-    temporarily. `counts`: messages per channel id. `header_end`, `chunks`: of a scanned file, the end of its header (0:
-    it has none), and each readable chunk with its messages per channel id."""
+    temporarily. `counts`: messages per channel id."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -66,6 +66,19 @@ class McapIndex:
     damage: list[str] = field(default_factory=list)
     lost: Counter[str] = field(default_factory=Counter)
     unread: list[str] = field(default_factory=list)
+
+    def type_of(self, channel: Channel) -> str:
+        schema = self.schemas.get(channel.schema_id)
+        return schema.name if schema is not None else ""
+
+
+@dataclass
+class McapIndex(FileIndex):
+    """The channels of an MCAP file and the positions of its messages.
+
+    `header_end`, `chunks`: of a scanned file, the end of its header (0: it has none), and each readable chunk with its
+    messages per channel id."""
+
     header_end: int = 0
     chunks: list[tuple[ChunkIndex, Counter[int]]] = field(default_factory=list)
     _spans: list[tuple[int, int, int]] = field(default_factory=list)
@@ -76,14 +89,10 @@ class McapIndex:
         """Read a file's index. Raises RecordingError when the file cannot be opened or is no MCAP."""
         index = cls(path)
         with index._opened() as stream:
-            try:
-                magic = stream.read(len(MAGIC))
-                if magic != MAGIC:
-                    raise RecordingError(_not_mcap(path, magic))
-                if not index._read_summary(stream):
-                    index._scan(stream)
-            except OSError as error:
-                raise RecordingError(f"cannot read {path}: {error}") from error
+            if (magic := stream.read(len(MAGIC))) != MAGIC:
+                raise RecordingError(_not_mcap(path, magic))
+            if not index._read_summary(stream):
+                index._scan(stream)
         return index
 
     def messages(
@@ -120,9 +129,11 @@ class McapIndex:
                 for place, one in enumerate(wanted):
                     heapq.heappush(waiting, (one.log_time, offset, place, one))
 
-    def _opened(self) -> BinaryIO:
+    @contextmanager
+    def _opened(self) -> Iterator[BinaryIO]:
         try:
-            return self.path.open("rb")
+            with self.path.open("rb") as stream:
+                yield stream
         except OSError as error:
             raise RecordingError(f"cannot read {self.path}: {error}") from error
 

@@ -15,7 +15,7 @@ from mcap.records import Channel, Message, Schema
 from ltm_core.base.errors import RecordingError
 from ltm_core.storage.disk_io import is_file, is_folder
 from ltm_msgs_py.bag.cdr import TF_TYPE, Transforms, transforms_of
-from ltm_msgs_py.bag.mcap_index import LARGEST_MESSAGE, McapIndex
+from ltm_msgs_py.bag.mcap_index import LARGEST_MESSAGE, FileIndex, McapIndex
 from ltm_msgs_py.bag.metadata import bag_files, is_latched
 from ltm_msgs_py.bag.schemas import message_class
 
@@ -54,26 +54,20 @@ MessageT = TypeVar("MessageT", bound=Logged)
 _SQLITE = b"SQLite format 3\0"
 
 
-class SqliteIndex:
-    """The channels and messages of a rosbag2 SQLite file, read through `rosbags`, as `McapIndex` has them."""
+class SqliteIndex(FileIndex):
+    """The channels and messages of a rosbag2 SQLite file, read through `rosbags`."""
 
     def __init__(self, path: Path, reader: Any) -> None:
-        self.path, self._reader = path, reader
-        self.damage: list[str] = []
-        self.lost: Counter[str] = Counter()
-        self.unread: list[str] = []
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.counts: dict[int, int] = {}
+        super().__init__(path)
+        self._reader = reader
         for one in reader.connections:
             latched = any(qos.durability.name == "TRANSIENT_LOCAL" for qos in one.ext.offered_qos_profiles)
             metadata = {"offered_qos_profiles": "[{durability: transient_local}]"} if latched else {}
             self.schemas[one.id] = Schema(one.id, b"", "", one.msgtype)
             self.channels[one.id] = Channel(one.id, one.topic, one.ext.serialization_format, metadata, one.id)
             self.counts[one.id] = one.msgcount
-        some = reader.message_count > 0
-        self.start_ns: int | None = reader.start_time if some else None
-        self.end_ns: int | None = reader.end_time - 1 if some else None
+        if reader.message_count:
+            self.start_ns, self.end_ns = reader.start_time, reader.end_time - 1
 
     @classmethod
     def open(cls, path: Path) -> "SqliteIndex":
@@ -107,9 +101,6 @@ class SqliteIndex:
                     self.lost[""] += 1
                 return
             yield self.channels[one.id], Message(one.id, time, raw, time, 0)
-
-
-Storage = McapIndex | SqliteIndex
 
 
 def is_bag_file(name: str) -> bool:
@@ -195,7 +186,7 @@ class BagReader:
             file = self._files[number]
             wanted = {i for i, c in file.channels.items() if topics is None or self._named(c) in topics}
             for channel, message in file.messages(wanted, start_ns, end_ns):
-                kind = self._named(channel), message.log_time, message.publish_time, _type_of(file, channel)
+                kind = self._named(channel), message.log_time, message.publish_time, file.type_of(channel)
                 yield BagMessage(*kind, _plain(message.data), channel.message_encoding)
             self._log_damage()
 
@@ -235,7 +226,7 @@ class BagReader:
         self._notes.append(f"{self.path} has no metadata.yaml: its recording was not finished; reading its files")
         return files
 
-    def _opened(self, path: Path) -> Storage:
+    def _opened(self, path: Path) -> McapIndex | SqliteIndex:
         """Open a file by its first bytes; one that is compressed as a whole is unpacked. Raises RecordingError."""
         try:
             with path.open("rb") as source:
@@ -258,7 +249,7 @@ class BagReader:
             for channel_id, channel in sorted(file.channels.items()):
                 known = topics.get(name := self._named(channel))
                 topics[name] = TopicInfo(
-                    known.type_name if known else _type_of(file, channel),
+                    known.type_name if known else file.type_of(channel),
                     file.counts.get(channel_id, 0) + (known.message_count if known else 0),
                     is_latched(channel.metadata.get("offered_qos_profiles", "")) or bool(known and known.latched),
                 )
@@ -273,24 +264,15 @@ def by_log_time(
     `begins`: of each stream, None: empty. Only streams that overlap in time are open together."""
     waiting = sorted(((begin, number) for number, begin in enumerate(begins) if begin is not None), reverse=True)
     heads: list[tuple[int, int, MessageT, Iterator[MessageT]]] = []
-
-    def advance(number: int, stream: Iterator[MessageT]) -> None:
-        if (message := next(stream, None)) is not None:
-            heapq.heappush(heads, (message.log_time_ns, number, message, stream))
-
     while waiting or heads:
-        while waiting and (not heads or waiting[-1][0] <= heads[0][0]):
+        if waiting and (not heads or waiting[-1][0] <= heads[0][0]):
             _, number = waiting.pop()
-            advance(number, stream_of(number))
-        if heads:
+            stream = stream_of(number)
+        else:
             _, number, message, stream = heapq.heappop(heads)
             yield number, message
-            advance(number, stream)
-
-
-def _type_of(file: Storage, channel: Channel) -> str:
-    schema = file.schemas.get(channel.schema_id)
-    return schema.name if schema is not None else ""
+        if (following := next(stream, None)) is not None:
+            heapq.heappush(heads, (following.log_time_ns, number, following, stream))
 
 
 def decoded(raw: bytes, type_name: str, encoding: str = "cdr") -> Any:

@@ -91,14 +91,12 @@ def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
         index = McapIndex.open(path)
         counts: Counter[str] = Counter()
         for number, channel in sorted(index.channels.items()):
-            schema = index.schemas.get(channel.schema_id)
             qos = qos_profile(latched=False, depth=10)
             with suppress(ConfigError):
                 stated = parse_yaml(channel.metadata.get("offered_qos_profiles", ""), "offered_qos_profiles")
                 qos = stated if isinstance(stated, list) else qos
-            type_name = schema.name if schema is not None else ""
             type_hash = channel.metadata.get("topic_type_hash", "")
-            topics.setdefault(channel.topic, TopicRecord(channel.topic, type_name, type_hash, qos))
+            topics.setdefault(channel.topic, TopicRecord(channel.topic, index.type_of(channel), type_hash, qos))
             counts[channel.topic] += index.counts.get(number, 0)
         records.append(FileRecord(path.name, index.start_ns or 0, index.end_ns or 0, +counts))
     write_metadata(folder, bag_information(records, list(topics.values()), {}))

@@ -6,7 +6,6 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
@@ -21,15 +20,6 @@ from ltm_msgs_py.bag.repair import repair_bag, rewrite_metadata
 
 _HEAD = struct.Struct("<8sBQ")
 _LONGEST_HEADER = 4096
-
-
-@dataclass(frozen=True)
-class RingFile:
-    """A file of the ring; `kept`: it is marked and stays."""
-
-    path: Path
-    size: int
-    kept: bool
 
 
 class RecordingRing:
@@ -52,19 +42,23 @@ class RecordingRing:
             return self._path
         return self._path.with_name(f"{self._path.name}_{folders[-1][0] + 1}")
 
-    def files(self) -> list[RingFile]:
+    def files(self) -> list[Path]:
         """Return all files of this recorder, the oldest first."""
         return [file for _, folder in self._numbered() for file in self._files_in(folder)]
 
-    def total(self) -> int:
-        """Return the bytes in files that are not kept."""
-        return sum(file.size for file in self.files() if not file.kept)
+    def sizes(self) -> dict[Path, int]:
+        """Return the bytes of the files that are not marked, the oldest first."""
+        return {
+            file: file.stat().st_size
+            for file in self.files()
+            if not (file.with_name(".keep").exists() or file.with_name(f"{file.name}.keep").exists())
+        }
 
     def repair(self) -> list[Path]:
         """Repair bags of a killed recorder; return them. What cannot be repaired now is left for the next start."""
         repaired = []
         for _, folder in self._numbered():
-            files = [file.path for file in self._files_in(folder)]
+            files = self._files_in(folder)
             if not files or (folder / FILE_NAME).exists():
                 continue
             with suppress(RecordingError, OSError), _held(files[-1]) as free:
@@ -79,14 +73,14 @@ class RecordingRing:
         """Remove the oldest files until `wanted` more bytes fit the limit; return them."""
         if self.most_bytes is None:
             return []
-        files = [file for file in self.files() if not file.kept]
-        total, removed = sum(file.size for file in files), []
-        for file in files:
+        sizes, removed = self.sizes(), []
+        total = sum(sizes.values())
+        for file, size in sizes.items():
             if total + wanted <= self.most_bytes:
                 break
-            if self._remove(file.path):
-                total -= file.size
-                removed.append(file.path)
+            if self._remove(file):
+                total -= size
+                removed.append(file)
         return removed
 
     def _remove(self, path: Path) -> bool:
@@ -94,7 +88,7 @@ class RecordingRing:
         folder = path.parent
         with suppress(OSError, RecordingError), _held(path) as free:
             if free:
-                left = [file.path for file in self._files_in(folder) if file.path != path]
+                left = [file for file in self._files_in(folder) if file != path]
                 if (folder / FILE_NAME).exists():  # first, so that a bag never lists what is gone
                     rewrite_metadata(folder, left)
                 path.unlink()
@@ -114,17 +108,13 @@ class RecordingRing:
             return []
         return sorted((int(match[1] or 0), path) for match, path in found if match)
 
-    def _files_in(self, folder: Path) -> list[RingFile]:
+    def _files_in(self, folder: Path) -> list[Path]:
         if folder.is_symlink() or not folder.is_dir():
             return []
         form = re.compile(rf"{re.escape(folder.name)}_(\d+)\.mcap")
-        found = []
-        for path in folder.iterdir():
-            match = form.fullmatch(path.name)
-            if match and not path.is_symlink() and path.is_file() and self._wrote(path):
-                kept = (folder / ".keep").exists() or path.with_name(f"{path.name}.keep").exists()
-                found.append((int(match[1]), RingFile(path, path.stat().st_size, kept)))
-        return [file for _, file in sorted(found, key=lambda item: item[0])]
+        named = [(form.fullmatch(path.name), path) for path in folder.iterdir()]
+        numbered = sorted((int(match[1]), path) for match, path in named if match)
+        return [path for _, path in numbered if not path.is_symlink() and path.is_file() and self._wrote(path)]
 
     def _wrote(self, path: Path) -> bool:
         """Return whether a file's header names this recorder."""

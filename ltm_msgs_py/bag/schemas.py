@@ -62,7 +62,7 @@ def message_class(type_name: str) -> Any:
 def schema_text(type_name: str) -> str:
     """Return the `ros2msg` schema of a type: its definition, then each dependency after a line and `MSG: pkg/Name`.
 
-    Definitions come from installed packages, else from `rosbags`' Jazzy types. Raises RecordingError without one."""
+    Raises RecordingError for a type whose package is not installed."""
     parts, names = list[str](), [type_name]
     for name in names:  # which grows
         text = _definition(name)
@@ -87,19 +87,10 @@ def _definition(type_name: str) -> str:
     path = _installed_file(package, f"{message}.msg")
     if path is not None:
         return path.read_text(encoding="utf-8")
-    return _OWN[type_name][0] if type_name in _OWN else _store_definition(type_name)
-
-
-def _store_definition(type_name: str) -> str:
-    try:
-        from rosbags.typesys import Stores, get_typestore
-
-        text, _ = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(type_name, ros_version=2)
-    except Exception as error:  # rosbags absent, or one of its own errors for a type that it does not have
-        place = os.environ.get("AMENT_PREFIX_PATH", "(AMENT_PREFIX_PATH not set)")
-        what = f"no definition of message type {type_name} in {place}, {sys.prefix} or rosbags ({type(error).__name__})"
-        raise RecordingError(f"{what}; install its package") from error
-    return str(text).partition(_SEPARATOR)[0]
+    if type_name in _OWN:
+        return _OWN[type_name][0]
+    place = os.environ.get("AMENT_PREFIX_PATH", "(AMENT_PREFIX_PATH not set)")
+    raise RecordingError(f"no definition of message type {type_name} in {place} or {sys.prefix}; install its package")
 
 
 def _dependencies(type_name: str, text: str) -> list[str]:

@@ -1,11 +1,11 @@
 """Write a bag: MCAP files and their metadata.yaml, in rosbag2's layout."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType
 
@@ -15,9 +15,6 @@ from ltm_msgs_py.bag.mcap_file import McapFile
 from ltm_msgs_py.bag.mcap_index import LATEST_NS
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, bag_information, qos_profile, to_yaml, write_metadata
 from ltm_msgs_py.bag.schemas import schema_text, type_hash, type_name_of
-
-Compression = Literal["zstd"] | None
-_COMPRESSIONS = {"zstd": CompressionType.ZSTD, None: CompressionType.NONE}
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class BagWriter:
     def __init__(
         self,
         path: Path | str,
-        compression: Compression = "zstd",
+        compression: CompressionType = CompressionType.ZSTD,
         custom_data: Mapping[str, str] | None = None,
         chunk_size: int = 1 << 20,
         split: Split | None = None,
@@ -54,15 +51,13 @@ class BagWriter:
         before each file is made.
 
         Raises RecordingError when `path` exists and is not an empty folder."""
-        if compression not in _COMPRESSIONS:
-            raise RecordingError(f"bag compression must be 'zstd' or None, got {compression!r}")
         self.path = Path(path)
         _require_absent(self.path)
         self.on_disk: Counter[str] = Counter()
         """Messages by topic that the operating system has, without those repeated in a further file."""
         self.lost = 0
         """Number of messages that the disk did not take."""
-        self._compression, self._chunk_size, self._split = _COMPRESSIONS[compression], chunk_size, split
+        self._compression, self._chunk_size, self._split = compression, chunk_size, split
         self._library, self._before_file = library, before_file
         self._custom_data = dict(custom_data or {})
         self._topics: dict[str, TopicRecord] = {}
@@ -116,9 +111,7 @@ class BagWriter:
         record = self._topics[topic] = TopicRecord(topic, type_name, type_hash(type_name), qos)
         if latched:
             self._latched[topic] = None
-        with self._ending_on_failure() as file:
-            if file is not None:
-                file.add_topic(record)
+        self._with_file(lambda file: file.add_topic(record))
 
     def write(self, topic: str, msg: Any, log_time_ns: int, publish_time_ns: int | None = None) -> None:
         """Append a message object. Raises RecordingError as `write_raw` does."""
@@ -158,25 +151,21 @@ class BagWriter:
             raise
         if topic in self._latched:
             self._latched[topic] = bytes(cdr), sent_ns
-        with self._ending_on_failure() as file:
-            assert file is not None  # nosec B101 # tells the type checker what holds
-            file.write(topic, bytes(cdr), log_time_ns, sent_ns)
+        self._with_file(lambda file: file.write(topic, bytes(cdr), log_time_ns, sent_ns))
 
     def flush(self) -> None:
         """Write the current chunk to the operating system: everything written so far survives a kill."""
-        with self._ending_on_failure() as file:
-            if file is not None:
-                file.flush()
+        self._with_file(McapFile.flush)
 
     def end_file(self) -> None:
         """Finish the current file; the next message begins another. Raises RecordingError as `flush`."""
-        with self._ending_on_failure() as file:
-            if file is None:
-                return
-            file.flush()
-            info = bag_information([file.record], list(self._topics.values()), self._custom_data)
-            file.finish({"serialized_metadata": to_yaml(info)})
-            self._let_go(file.record)
+        self._with_file(self._finish)
+
+    def _finish(self, file: McapFile) -> None:
+        file.flush()
+        info = bag_information([file.record], list(self._topics.values()), self._custom_data)
+        file.finish({"serialized_metadata": to_yaml(info)})
+        self._let_go(file.record)
 
     def close(self) -> None:
         """Finish the last file and write metadata.yaml, once. Raises RecordingError on a full disk."""
@@ -208,23 +197,23 @@ class BagWriter:
         except OSError as error:
             raise RecordingError(f"cannot write a bag to {self.path}: {error}") from error
         self._next += 1
-        with self._ending_on_failure() as file:
-            assert file is not None  # nosec B101 # tells the type checker what holds
-            for record in self._topics.values():
-                file.add_topic(record)
-            for topic, last in self._latched.items():
-                if last is not None:
-                    cdr, sent_ns = last
-                    file.write(topic, cdr, log_time_ns, sent_ns, new=False)
+        self._with_file(partial(self._begin, log_time_ns))
 
-    @contextmanager
-    def _ending_on_failure(self) -> Iterator[McapFile | None]:
-        """Yield the current file, and end it on a disk error. Raises RecordingError then."""
-        file = self._file
+    def _begin(self, log_time_ns: int, file: McapFile) -> None:
+        for record in self._topics.values():
+            file.add_topic(record)
+        for topic, last in self._latched.items():
+            if last is not None:
+                cdr, sent_ns = last
+                file.write(topic, cdr, log_time_ns, sent_ns, new=False)
+
+    def _with_file(self, work: Callable[[McapFile], None]) -> None:
+        """Call `work` with the current file, if any; end the file on a disk error. Raises RecordingError then."""
+        if (file := self._file) is None:
+            return
         try:
-            yield file
+            work(file)
         except OSError as error:
-            assert file is not None  # nosec B101 # tells the type checker what holds
             record = file.record if file.abandon() else None
             self.lost += file.unsaved
             self._let_go(record)

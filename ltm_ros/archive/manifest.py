@@ -12,7 +12,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.cdr import RAW_TYPE, CompressedPicture, RawPicture, picture_of
+from ltm_msgs_py.bag.cdr import RAW_TYPE, Picture, picture_of
 from ltm_msgs_py.bag.reader import BagReader, by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
 from ltm_ros.archive.scan import Scan, ScannedMessage, picture_digest
@@ -140,7 +140,7 @@ def _join_camera(
                     manifest.unchanged += 1
                     if rules.join.drop_repeated:
                         continue
-                join.add_image(message.stamp_ns, _Picture(file, message))
+                join.add("image", message.stamp_ns, _Picture(file, message))
         except LtmError as error:
             health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")
     join.finish()
@@ -194,7 +194,7 @@ class ArchiveImageReader:
     def __init__(self) -> None:
         self._open: dict[str, BagReader] = {}
 
-    def read(self, frame: ArchiveFrame) -> CompressedPicture | RawPicture:
+    def read(self, frame: ArchiveFrame) -> Picture:
         """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now."""
         name, at = frame.file, frame.log_time_ns
         if name not in self._open:

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.site.site import Site
-from ltm_msgs_py.bag.cdr import CompressedPicture, RawPicture, picture_of
+from ltm_msgs_py.bag.cdr import Picture, picture_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
 from ltm_ros.archive.files import files_below, write_result
 from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
@@ -32,10 +32,9 @@ def digest(*parts: object) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def picture_digest(picture: CompressedPicture | RawPicture) -> str:
+def picture_digest(picture: Picture) -> str:
     """Return the digest of an image without its time, because a fixed camera may send the same image again."""
-    about = {name: value for name, value in vars(picture).items() if name not in ("data", "stamp_ns")}
-    found = hashlib.blake2b(repr(sorted(about.items())).encode(), digest_size=16)
+    found = hashlib.blake2b(repr(sorted(picture.about.items())).encode(), digest_size=16)
     found.update(picture.data)
     return found.hexdigest()
 

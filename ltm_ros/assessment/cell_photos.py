@@ -170,7 +170,7 @@ def _bags(path: Path) -> list[Path]:
 
 def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[_Shot]:
     """Return a recording's clear photos; of more than `most`, evenly chosen ones of each camera."""
-    stream = FrameStream.open(bag, site, {part: PARTS[part] for part in ("photo", "camera", "pose")})
+    stream = FrameStream(bag, site, {part: PARTS[part] for part in ("photo", "camera", "pose")})
     fixed = {name: c.pose.pose(dem, site.frame) for name, c in site.cameras.items() if c.pose is not None}
     cameras: dict[str, Camera] = {
         name: config.calibration.camera() for name, config in site.cameras.items() if config.calibration is not None

@@ -9,11 +9,13 @@ import typer
 from typer import Argument, Option
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.pictures import to_png
 from ltm_core.pictures.photo_overlays import mask_picture
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.config_io import checked
 from ltm_core.storage.disk_io import require_files, require_folder
+from ltm_core.storage.image_io import photos_in, read_rgb
 from ltm_core.vision.areas import NamedArea, polygons_of, read_areas, write_areas
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import DEFAULT_MODEL
@@ -23,7 +25,7 @@ from ltm_core.vision.masks import write_mask
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli.output import Overwrite, numbers, print_table, say
 from ltm_ros.labelling.server import LabelServer, LabelSession, serve
-from ltm_ros.recordings.recorded_run import folder_pictures, recorded_pictures
+from ltm_ros.recordings.recorded_run import recorded_pictures
 
 
 def label(
@@ -78,7 +80,8 @@ def mask(
     if is_recording and known is not None:
         names, frames = recorded_pictures(pictures, known, camera, MOST_FRAMES, turned)
     else:
-        names, frames = folder_pictures(pictures, only, MOST_FRAMES)
+        photos = evenly(photos_in(pictures, only), MOST_FRAMES)
+        names, frames = [photo.name for photo in photos], [read_rgb(photo) for photo in photos]
     proposals = propose_mask(frames)
     if drawn is not None:
         areas = [area for area in read_areas(drawn) if area.image in names]

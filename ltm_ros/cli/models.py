@@ -85,12 +85,12 @@ def _measure(name: str, path: Path | None, recordings: list[Path], photos: Path 
     heads = {SHIPPED_LABEL_HEAD} if site is None else {camera.label_head for camera in site.cameras.values()}
     for head in sorted(heads):
         with progress_bar(f"measuring {name}") as progress:
-            found = measure_network(name, site, recordings, photos, head, progress)
-        right = np.diagonal(found.errors.shares)
+            path, errors = measure_network(name, site, recordings, photos, head, progress)
+        right = np.diagonal(errors.shares)
         text = ", ".join(f"{f.name.lower()} {right[f - 1]:.0%}" for f in LifeForm if np.isfinite(right[f - 1]))
-        say(f"{name}, label head {head}: {found.errors.state}; right labels: {text}")
-        alike = ", ".join(f"{key} {value:.2f}" for key, value in found.errors.correlation.model_dump().items())
-        say(f"correlation of errors: {alike}\n{found.path}")
+        say(f"{name}, label head {head}: {errors.state}; right labels: {text}")
+        alike = ", ".join(f"{key} {value:.2f}" for key, value in errors.correlation.model_dump().items())
+        say(f"correlation of errors: {alike}\n{path}")
 
 
 def _list() -> None:

@@ -202,7 +202,7 @@ def fuel_maps_table(score: RunScore) -> Table | None:
 
 def recording_facts(site: Site, recorded: Recorded) -> str:
     """Return the place of a site and the time of its recorded frames in words."""
-    stream = FrameStream.open(recorded.bag, site, {"pose": ((POSE, lambda message: msg_to_pose(message, "map")),)})
+    stream = FrameStream(recorded.bag, site, {"pose": ((POSE, lambda message: msg_to_pose(message, "map")),)})
     stamps, poses = zip(*((frame.stamp_ns, frame.take("pose")) for frame in stream.frames()), strict=True)
     x, y = np.mean([pose.position[:2] for pose in poses], axis=0)
     lon, lat = (float(value) for value in site.frame.to_lonlat(x, y))

@@ -166,7 +166,7 @@ class FuelTally:
 
 def score_run(recorded: Recorded) -> RunScore:
     """Score all frames that carry truth. Raises LtmError if the bag cannot be read."""
-    stream = recorded.stream()
+    stream = FrameStream(recorded.bag, recorded.site)
     tally = RunTally(recorded, stream)
     for frame in stream.frames():
         tally.add(frame)

@@ -12,7 +12,8 @@ from ltm_core.surface.confirmed_surface import AS_GIVEN, ConfirmedSurface, Surfa
 from ltm_core.surface.surface_io import confirmed_surface
 from ltm_core.surface.surface_map import SurfaceMap
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
-from ltm_msgs_py.cells import change_to_msg, changed_to_msg, manifest_to_msg, msg_to_version
+from ltm_msgs_py.cells import changed_to_msg, manifest_to_msg, msg_to_version
+from ltm_msgs_py.grid import classes_to_msg
 from ltm_msgs_py.json_topics import TerrainInfo
 from ltm_ros.runtime.handler import Outlet
 from ltm_ros.runtime.health import Health, cause_of
@@ -92,7 +93,7 @@ class TerrainPublisher:
         if window is None:
             return
         layers = self._map.layers(window)
-        self._outlet.publish(TERRAIN_CHANGE, change_to_msg(layers, self._map.newest_ns))
+        self._outlet.publish(TERRAIN_CHANGE, classes_to_msg(layers.told, layers.geometry, self._map.newest_ns))
         self._health.gauge("cells.seen", int((layers.frames > 0).sum()))
         self._health.gauge("cells.judged", int(layers.observed.sum()))
         for kind in set(ChangeKind) - {ChangeKind.NONE}:

@@ -21,7 +21,7 @@ from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.pictures import to_jpeg
 from ltm_core.storage.config_io import checked
-from ltm_core.storage.image_io import orientation, read_picture, read_rgb, stated_size
+from ltm_core.storage.image_io import orientation, photos_in, read_picture, read_rgb, stated_size
 from ltm_core.vision.areas import (
     ERASED,
     MASKED,
@@ -38,7 +38,6 @@ from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_config import MOST_POINTS, Point
 from ltm_core.vision.overlays import scene_of
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.recordings.recorded_run import pictures_in
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 
 MOST_SHAPES = 5000
@@ -63,12 +62,12 @@ class _Shapes(StrictModel):
 
 class LabelSession:
     """The labels of one folder. Photos are identified only by number, so that no name from a page becomes a path.
-    Thread-safe. Raises RecordingError if there are no photos, ConfigError for photos whose label images would have the
+    Thread-safe. Raises ImageError if there are no photos, ConfigError for photos whose label images would have the
     same name, and for an invalid polygons.json."""
 
     def __init__(self, folder: Path, segmenter: Segmenter | None = None) -> None:
         self.folder = folder
-        self._paths = pictures_in(folder)
+        self._paths = photos_in(folder)
         if twice := [stem for stem, count in Counter(path.stem for path in self._paths).items() if count > 1]:
             raise ConfigError(f"{folder}: several photos are named {twice[0]}, and would share {twice[0]}_labels.png")
         self.labels = LabelSet.load() if segmenter is None else segmenter.labels

@@ -24,7 +24,7 @@ from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.heartbeat import HEARTBEAT
 from ltm_ros.runtime.node_process import EX_IOERR, run_until_stopped
 from ltm_ros.runtime.outlet_node import WIRING_S, OutletNode
-from ltm_ros.runtime.pipeline import Job, absolute
+from ltm_ros.runtime.pipeline import Job
 from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.ros_environment import available_cores
 
@@ -70,17 +70,15 @@ class JobNode(OutletNode):
     def subscribe(self, wake: Callable[[], None]) -> None:
         """Subscribe over DDS to topics that no job of the pipeline publishes; call it after all jobs are added."""
         for topic in self.job.callbacks:
-            if not self._pipeline.made_here(self.job.topic(topic)):
+            if not self._pipeline.made_here(topic.under(self.spec.namespace)):
                 self.listen(topic, partial(self._offer, wake, topic))
 
     def publish(self, topic: Topic, message: Any) -> None:
-        """Implement Outlet."""
         self._hand_over(topic, message)
         super().publish(topic, message)
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
-        """Implement Outlet."""
-        if not self._pipeline.listened(self.job.topic(topic)):
+        if not self._pipeline.listened(topic.under(self.spec.namespace)):
             super().provide(topic, stamp_ns, make)
             return
         message = make()
@@ -88,11 +86,10 @@ class JobNode(OutletNode):
         super().provide(topic, stamp_ns, lambda: message)
 
     def more_waits(self) -> bool:
-        """Implement Outlet."""
         return self._camera.more_waits
 
     def _hand_over(self, topic: Topic, message: Any) -> None:
-        if self._pipeline.listened(name := absolute(self.spec.namespace, topic)):
+        if self._pipeline.listened(name := topic.under(self.spec.namespace)):
             self._pipeline.publish(name, message)
 
     def _offer(self, wake: Callable[[], None], topic: Topic, message: Any) -> None:
@@ -148,7 +145,7 @@ class SiteProcess:
     def close(self) -> int:
         """Finish frames in flight and close the handlers; return the process's exit status."""
         for camera in self._cameras:
-            camera.stop_admitting()
+            camera.closing = True
         finished = self._scheduler.close(CLOSE_S)
         if finished:
             for camera in self._cameras:

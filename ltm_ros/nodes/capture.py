@@ -91,7 +91,7 @@ class CaptureHandler(Handler[CaptureConfig]):
         stamp = stamp_of(message)
         if self._stamps.refuses(f"an image of {self.config.camera}", stamp) or self._too_large(message):
             return
-        known = self._join.known(stamp)
+        known = self._join.known("image", stamp)
         if known and _is_raw(message) != self._takes_raw:
             self.health.note("other_image_topic")  # a driver that publishes both kinds
             return
@@ -110,7 +110,7 @@ class CaptureHandler(Handler[CaptureConfig]):
                 self.health.drop("repeated", why)
                 return
         self._join_poses(self._poses.of_image(message.header.frame_id, stamp))
-        self._join.add_image(stamp, message)
+        self._join.add("image", stamp, message)
 
     def _on_transforms(self, message: Any, static: bool) -> None:
         self._join_poses(self._poses.of_transforms(message.transforms, static))

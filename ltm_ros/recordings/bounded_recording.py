@@ -4,19 +4,20 @@ import errno
 import math
 import os
 import queue
+import shutil
 import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import Self
 
 from ltm_core.base.errors import LtmError, RecordingError
-from ltm_core.storage.disk_io import SpaceFloor, disk_bytes
+from ltm_core.storage.disk_io import folder_that_exists, free_bytes
 from ltm_msgs_py.bag.ring import RecordingRing
 from ltm_msgs_py.bag.writer import BagWriter, Split
 from ltm_ros.runtime.health import Health, cause_of
@@ -39,11 +40,17 @@ class RecordingLimits:
     floor: int
     split: Split
 
+    @property
+    def again(self) -> int:
+        """Return the free bytes from which a stopped recording continues: more than the floor, because it must not stop
+        and start with every file that other programs remove."""
+        return self.floor + self.floor // 10
+
     @classmethod
     def of(cls, path: Path, max_bytes: int, min_free_bytes: int, file_bytes: int, file_seconds: float) -> Self:
         """Return the limits of a configuration on the disk of `path`. Raises RecordingError without such a disk."""
         try:
-            disk = disk_bytes(path)
+            disk = shutil.disk_usage(folder_that_exists(path)).total
         except OSError as error:
             raise RecordingError(f"cannot read the disk usage of {path}: {error}") from error
         most = min(RING_BYTES, int(RING_SHARE * disk)) if max_bytes < 0 else max_bytes or None
@@ -65,8 +72,9 @@ class BoundedRecording:
         Raises RecordingError if no bag can be made for another reason than a full disk."""
         self._limits, self._health, self._tell = limits, health, tell
         self._ring = RecordingRing(path, recorder, limits.most_bytes)
-        self._floor = SpaceFloor(path, limits.floor)
         self._path = path
+        self._low = False
+        self._free_bytes = 0
         self._topics: dict[str, tuple[str, bool]] = {}
         self._held: dict[str, bytes] = {}
         self._writer: BagWriter | None = None
@@ -85,65 +93,56 @@ class BoundedRecording:
 
     def add_topic(self, topic: str, type_name: str, latched: bool) -> None:
         """Announce a topic. Raises RecordingError for an unknown type."""
-        if self._writer is not None:
-            with self._accounted(self._writer):
-                self._writer.add_topic(topic, type_name, latched)
+        self._accounted(lambda writer: writer.add_topic(topic, type_name, latched))
         self._topics[topic] = type_name, latched
 
     def write(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         """Write a message. Raises RecordingError for an invalid one."""
-        if self._low():
+        if self._disk_is_low():
             self._refuse("disk_low", self._why_low(), topic, cdr)
             return
         if time.monotonic() < self._retry_at:
             self._refuse("disk", self._failed, topic, cdr)
             return
-        try:
-            writer = self._writer or self._open()
-        except RecordingError as error:
-            self._refuse("disk", str(error), topic, cdr)
-            self._fail(error)
-            return
+        if self._writer is None:
+            try:
+                self._open()
+            except RecordingError as error:
+                self._refuse("disk", str(error), topic, cdr)
+                self._fail(error)
+                return
         held, self._held = self._held, {}
-        for name, message in [*held.items(), (topic, cdr)]:
-            with self._accounted(writer):
-                writer.write_raw(name, self._topics[name][0] if name in held else type_name, message, log_time_ns)
+        due = [(name, self._topics[name][0], message) for name, message in held.items()]
+        for one in [*due, (topic, type_name, cdr)]:
+            self._accounted(methodcaller("write_raw", *one, log_time_ns))
 
     def flush(self) -> None:
         """Pass written data to the operating system, check the disk, and report its state; call it once a second."""
-        low = self._low()
-        if self._writer is not None:
-            with self._accounted(self._writer):
-                self._writer.flush()
-        if low:
+        self._disk_is_low()
+        self._accounted(BagWriter.flush)
+        if self._low:
             self._health.trouble("disk_low", self._why_low())
         elif self._failed:
             self._health.trouble("disk", self._failed)
-        self._health.gauge("disk_free_bytes", self._floor.free)
+        self._health.gauge("disk_free_bytes", self._free_bytes)
         self._health.gauge("file_bytes", 0 if self._writer is None else self._writer.file_bytes)
 
     def close(self) -> bool:
         """Finish the bag; return whether it is complete."""
         for topic in self._held:
             self._health.drop("disk", f"the last message of {topic} came while recording was stopped")
-        whole = self._writer is None
-        if self._writer is not None:
-            with self._accounted(self._writer):
-                self._writer.close()
-                whole = True
-        return whole
+        return self._accounted(BagWriter.close)
 
-    def _open(self) -> BagWriter:
+    def _open(self) -> None:
         folder, split, library = self._ring.new_folder(), self._limits.split, self._ring.library
         self._writer = BagWriter(folder, split=split, library=library, before_file=self._make_room)
         for topic, (type_name, latched) in self._topics.items():
             self._writer.add_topic(topic, type_name, latched)
-        return self._writer
 
     def _make_room(self) -> None:
         for _ in self._ring.make_room(self._limits.split.most_bytes):
             self._health.note("files_removed")
-        self._health.gauge("recorded_bytes", self._ring.total())
+        self._health.gauge("recorded_bytes", sum(self._ring.sizes().values()))
 
     def _refuse(self, cause: str, why: str, topic: str, cdr: bytes) -> None:
         """Drop a message; the last one of a latched topic waits for a recording, because it is not repeated."""
@@ -153,37 +152,43 @@ class BoundedRecording:
         if latched:
             self._held[topic] = cdr
 
-    def _low(self) -> bool:
+    def _disk_is_low(self) -> bool:
         """Check the disk; when recording stops, the file is finished, so that it can be read."""
-        before, low = self._floor.low, self._floor.look()
-        if low and not before:
+        try:
+            self._free_bytes = free_bytes(self._path)
+        except OSError:  # gone or read-only: writing will report it
+            return self._low
+        before, self._low = self._low, self._free_bytes < (self._limits.again if self._low else self._limits.floor)
+        if self._low and not before:
             self._tell(f"recording stopped: {self._why_low()}")
-            if self._writer is not None:
-                with self._accounted(self._writer):
-                    self._writer.end_file()
-        elif before and not low:
-            self._tell(f"recording continues: {self._floor.free / 1e6:.0f} MB are free")
-        return low
+            self._accounted(BagWriter.end_file)
+        elif before and not self._low:
+            self._tell(f"recording continues: {self._free_bytes / 1e6:.0f} MB are free")
+        return self._low
 
     def _why_low(self) -> str:
-        free, least, again = (f"{n / 1e6:.0f} MB" for n in (self._floor.free, self._floor.floor, self._floor.again))
+        numbers = self._free_bytes, self._limits.floor, self._limits.again
+        free, least, again = (f"{number / 1e6:.0f} MB" for number in numbers)
         return (
             f"{free} are free on the disk of {self._path}, but recording needs {least}; delete files (recording "
             f"continues from {again} on), or lower min_free_bytes"
         )
 
-    @contextmanager
-    def _accounted(self, writer: BagWriter) -> Iterator[None]:
-        """Count what a disk operation saves and loses; report a disk error. Raises RecordingError for another one."""
-        lost = writer.lost
+    def _accounted(self, work: Callable[[BagWriter], None]) -> bool:
+        """Call `work` with the writer, if any, and count what it saves and loses. Report a disk error and return False.
+        Raises RecordingError for another error."""
+        if (writer := self._writer) is None:
+            return True
+        lost, done = writer.lost, True
         try:
-            yield
+            work(writer)
         except RecordingError as error:
             if not isinstance(error.__cause__, OSError):
                 raise
             if writer.lost > lost:
                 self._health.drop("disk", str(error), writer.lost - lost)
             self._fail(error)
+            done = False
         new = writer.on_disk - self._told
         for topic in new.elements():
             self._health.published(topic)
@@ -192,6 +197,7 @@ class BoundedRecording:
             self._failed = ""
             self._backoff.succeeded()
             self._tell("recording continues")
+        return done
 
     def _fail(self, error: RecordingError) -> None:
         if not self._failed:

@@ -76,11 +76,12 @@ class StreamedFrame:
 class FrameStream:
     """The frames of a site's cameras."""
 
-    def __init__(self, bag: Path, site: Site, cameras: Collection[str], parts: Parts = PARTS) -> None:
+    def __init__(self, bag: Path, site: Site, parts: Parts = PARTS, cameras: Collection[str] | None = None) -> None:
+        """Open a bag; `cameras`: None for all of the site. Raises RecordingError."""
         self._reader = BagReader(bag)
         self._topics: dict[str, tuple[str, str, Topic, Take]] = {}
         recorded = self._reader.topics()
-        for camera in cameras:
+        for camera in site.cameras if cameras is None else cameras:
             for part, sources in parts.items():
                 for topic, take in sources:
                     own = topics.input_topic(site.cameras[camera], topic)
@@ -92,11 +93,6 @@ class FrameStream:
         for camera, part, _, stamp, _ in self._stamped(list(self._topics)):
             self._messages[camera, stamp] += 1
             self._parts[camera, stamp].add(part)
-
-    @classmethod
-    def open(cls, bag: Path, site: Site, parts: Parts = PARTS) -> "FrameStream":
-        """Open a bag of a site's cameras. Raises RecordingError."""
-        return cls(bag, site, list(site.cameras), parts)
 
     def _stamped(self, names: Collection[str]) -> Iterator[tuple[str, str, Topic, int, BagMessage]]:
         """Yield messages with camera, part, topic and stamp, without those of another type or without a header."""

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from ltm_core.base.errors import LtmError, MessageError
-from ltm_core.geometry.pose import Pose
-from ltm_core.site.sections import CameraConfig
+from ltm_core.cameras.camera_config import PoseConfig
+from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.pose import Pose, vector_of_matrix
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import TF_TYPE, header_of, transforms_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, TopicInfo, decoded
@@ -226,11 +227,14 @@ def warn_of_ignored(site: Site, first: Callable[[str, Topic], Any]) -> None:
     the first message of a recorded topic, None without any; may raise LtmError."""
     for camera, config in site.cameras.items():
         for key, topic in (("pose", POSE), ("calibration", CAMERA_INFO)):
-            if getattr(config, key) is None:
+            if (stated := config.pose if key == "pose" else config.calibration) is None:
                 continue
             try:
                 message = first(camera_topic(site.name, camera, own := input_topic(config, topic)), own)
-                differs = "" if message is None else _difference(site, config, key, message)
+                if message is None:
+                    continue
+                ours = stated.pose(site.open_dem(), site.frame) if isinstance(stated, PoseConfig) else stated.camera()
+                differs = _difference(ours, message)
             except LtmError as error:
                 differs = f"the recorded one is invalid ({error})"
             if differs:
@@ -240,23 +244,15 @@ def warn_of_ignored(site: Site, first: Callable[[str, Topic], Any]) -> None:
                 )  # fmt: skip
 
 
-def _difference(site: Site, config: CameraConfig, key: str, message: Any) -> str:
-    """Return by how much the first recorded pose or calibration differs from the site file's; empty if it does not."""
-    if key == "calibration" and config.calibration is not None:
-        ours, theirs = config.calibration.camera(), msg_to_camera(message)
-        if ours == theirs:
-            return ""
+def _difference(ours: Pose | Camera, message: Any) -> str:
+    """Return by how much the first recorded pose or calibration differs from the site file's; empty if it does not, or
+    by less than 0.01 degrees and 1 cm."""
+    if isinstance(ours, Camera):
+        theirs = msg_to_camera(message)
         sizes = [f"{one.width} x {one.height} pixels with fx {one.fx:.1f}" for one in (theirs, ours)]
-        return f"the first recorded one has {sizes[0]}, the site file's {sizes[1]}"
-    assert config.pose is not None  # nosec B101 # tells the type checker what holds
-    return pose_difference(config.pose.pose(site.open_dem(), site.frame), msg_to_pose(message, "map"))
-
-
-def pose_difference(ours: Pose, theirs: Pose) -> str:
-    """Return the angle and the distance between two poses in words; empty below 0.01 degrees and 1 cm."""
-    cosine = (float(np.trace(ours.rotation.T @ theirs.rotation)) - 1) / 2
-    degrees = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
-    metres = float(np.linalg.norm(ours.position - theirs.position))
-    if degrees < 0.01 and metres < 0.01:
-        return ""
-    return f"the first recorded one differs by {degrees:.2f} degrees and {metres:.2f} m"
+        return "" if ours == theirs else f"the first recorded one has {sizes[0]}, the site file's {sizes[1]}"
+    pose = msg_to_pose(message, "map")
+    degrees = math.degrees(float(np.linalg.norm(vector_of_matrix(ours.rotation.T @ pose.rotation))))
+    metres = float(np.linalg.norm(ours.position - pose.position))
+    differs = degrees >= 0.01 or metres >= 0.01
+    return f"the first recorded one differs by {degrees:.2f} degrees and {metres:.2f} m" if differs else ""

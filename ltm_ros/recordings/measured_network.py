@@ -1,7 +1,6 @@
 """Measure the labels of a network on recordings of a site, or on labelled photos, for `ltm models measure`."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,15 +29,6 @@ MOST_FRAMES: Final = 240
 _POSE: Final = "pose"
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """Written record, its path, and the label errors that it states."""
-
-    record: label_errors.ReliabilityRecord
-    path: Path
-    errors: label_errors.LabelErrors
-
-
 def measure_network(
     model: str,
     site: Site | None,
@@ -46,8 +36,9 @@ def measure_network(
     photos: Path | None,
     head: str = SHIPPED_LABEL_HEAD,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> Measured:
-    """Measure the labels of a network with a label head, write their record and return it.
+) -> tuple[Path, label_errors.LabelErrors]:
+    """Measure the labels of a network with a label head and write their record; return its path, and the label errors
+    that it states.
 
     Raises ConfigError without anything to measure on or without a prior map, RecordingError for recordings without
     posed images, ImageError for too few cells, and as the steps of a frame do."""
@@ -73,7 +64,7 @@ def measure_network(
         raise ConfigError("nothing to measure on; give --site and a recording of it, or --photos")
     about |= {"network": manifest.name, "labels": label_errors.labels_digest(manifest, file)}
     record = label_errors.ReliabilityRecord(**about | {"source": "; ".join(sources)})
-    return Measured(record, label_errors.write_record(record), record.errors())
+    return label_errors.write_record(record), record.errors()
 
 
 def _on_recordings(
@@ -100,7 +91,7 @@ def _votes(
     dem = site.open_dem()
     fixed = {name: (c.pose.pose(dem, site.frame), None) for name, c in site.cameras.items() if c.pose is not None}
     calibrations = {name: c.calibration.camera() for name, c in site.cameras.items() if c.calibration is not None}
-    streams = [FrameStream(bag, site, cameras, _PARTS) for bag in bags]
+    streams = [FrameStream(bag, site, _PARTS, cameras) for bag in bags]
     chosen = [
         (f.stamp_ns, place, f.camera_name)
         for place, stream in enumerate(streams)

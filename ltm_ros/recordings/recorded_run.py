@@ -15,7 +15,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import evenly
 from ltm_core.site.site import Site
-from ltm_core.storage.image_io import read_rgb
 from ltm_core.visibility.viewshed import PosedCamera
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.mask_config import ViewMask
@@ -56,15 +55,12 @@ class Recorded:
     truth: Path
     life_forms: Path | None = None
 
-    def stream(self) -> FrameStream:
-        return FrameStream.open(self.bag, self.site)
-
 
 def recorded_frames(bag: Path, site: Site) -> Iterator[RecordedFrame]:
     """Yield the frames of a recorded run with depth and labels, camera by camera, in time order.
 
     A frame is returned as soon as the bag has given all of it, so a bag of hours needs the memory of a few frames."""
-    stream = FrameStream.open(bag, site)
+    stream = FrameStream(bag, site)
     for camera in site.cameras:
         for frame in stream.frames(("depth_camera", "pose", "photo", "traced", "labels"), [camera]):
             parts = (frame.take(part) for part in ("depth_camera", "pose", "photo", "traced", "labels", "fused"))
@@ -97,7 +93,7 @@ def image_shape(frame: StreamedFrame, site: Site) -> tuple[int, int]:
 
 def recorded_votes(recorded: Recorded, geometry: GridGeometry, labels: LabelSet) -> Iterator[CellVotes]:
     """Yield the votes of a bag, frame by frame; `geometry`: the fuel grid in the map frame. Raises MessageError."""
-    for frame in recorded.stream().frames(["votes"]):
+    for frame in FrameStream(recorded.bag, recorded.site).frames(["votes"]):
         yield msg_to_votes(frame.take("votes"), geometry, labels.names, frame.camera_name)
 
 
@@ -112,25 +108,6 @@ def last_fuel_map(bag: Path, site: Site) -> tuple[UInt8Array, GridGeometry, Labe
     return classes, site.in_crs(geometry), LabelSet.load(config_path(site.labels))
 
 
-PICTURES = (".jpg", ".jpeg", ".png", ".heic", ".bmp", ".webp")
-"""Suffixes of photos; .tif is excluded, because rasters use it."""
-
-
-def pictures_in(folder: Path, pattern: str = "*") -> list[Path]:
-    """Return the photos of a folder by name, without label images. Raises RecordingError if there are none."""
-    photos = (path for path in folder.glob(pattern) if path.suffix.lower() in PICTURES and path.is_file())
-    found = sorted(path for path in photos if not path.stem.endswith(("_labels", "_mask")))
-    if not found:
-        raise RecordingError(f"{folder}: no photos match {pattern!r}; supported: {', '.join(PICTURES)}")
-    return found
-
-
-def folder_pictures(folder: Path, pattern: str, most: int) -> tuple[list[str], list[UInt8Array]]:
-    """Return names and photos, at most `most`. Raises RecordingError and ImageError."""
-    paths = evenly(pictures_in(folder, pattern), most)
-    return [path.name for path in paths], [read_rgb(path) for path in paths]
-
-
 def recorded_pictures(
     bag: Path, site: Site, camera: str, most: int, view: ViewMask | None = None
 ) -> tuple[list[str], list[UInt8Array]]:
@@ -138,16 +115,18 @@ def recorded_pictures(
 
     `view`: only images with this viewing direction; the zoom does not matter. Raises RecordingError, ImageError."""
 
-    def looks_at(pose: Pose, view: ViewMask) -> bool:
-        azimuth, pitch, _ = pose.angles_deg
+    def chosen(frame: StreamedFrame) -> bool:
+        if view is None:
+            return True
+        azimuth, pitch, _ = frame.take("pose").angles_deg
         return Looking(azimuth, pitch, view.hfov_deg or 1.0).off_deg(view) <= view.within_deg
 
     site.camera(camera)
-    stream = FrameStream(bag, site, [camera], {part: PARTS[part] for part in ("photo", "pose")})
+    stream = FrameStream(bag, site, {part: PARTS[part] for part in ("photo", "pose")}, [camera])
     if not stream.has("photo"):
         raise RecordingError(f"{bag}: no image of {camera}; its topics are {stream.topics}")
     needed = ("photo",) if view is None else ("photo", "pose")
-    stamps = [f.stamp_ns for f in stream.frames(needed) if view is None or looks_at(f.take("pose"), view)]
+    stamps = [frame.stamp_ns for frame in stream.frames(needed) if chosen(frame)]
     if view is not None and not stamps:
         raise RecordingError(f"{bag}: no image of {camera} has a pose in the direction of view {view.name}")
     wanted = set(evenly(stamps, most))

@@ -113,7 +113,8 @@ class CameraPipeline:
         self._inbox_bytes = 0
         self.more_waits = True
         """Whether handlers get further messages before `idle`."""
-        self._closing = False
+        self.closing = False
+        """Whether no more frames are admitted."""
         self._activity = Activity("start")
         self._waited = 0.0
         """Seconds not yet passed on to the handlers."""
@@ -147,7 +148,7 @@ class CameraPipeline:
         for job in self.pipeline.jobs.values() if waited else ():
             self._run(job, partial(job.handler.tick, waited), "", None)
             self.pipeline.drain()
-        if self._closing:
+        if self.closing:
             return False
         self.more_waits = False
         self.pipeline.idle()
@@ -155,10 +156,6 @@ class CameraPipeline:
         self.pipeline.drain()
         self.more_waits = True
         return let_in
-
-    def stop_admitting(self) -> None:
-        """Stop admitting frames."""
-        self._closing = True
 
     def finish(self) -> None:
         """Handle the queued messages, then tell all handlers that no more come."""

@@ -53,8 +53,9 @@ class JoinedFrame:
     camera: Camera
 
 
-class FrameJoin:
-    """Joins an image when its pose and a calibration have come; the newest calibration up to its stamp is used.
+class FrameJoin(StampJoin):
+    """Joins an image (the part `image`) when its pose and a calibration have come; the newest calibration up to its
+    stamp is used.
 
     Equal poses and calibrations of a fixed camera are stored as one object. Otherwise each frame would leave some
     twenty small blocks among those of images, freed a thousand frames later, which fragments the heap.
@@ -72,7 +73,7 @@ class FrameJoin:
         stamp_and_size: Callable[[Any], tuple[int, tuple[int, int]]],
     ) -> None:
         camera = site.camera(name)
-        self._site_name, self._name, self._complete, self._health = site.name, name, complete, health
+        self._site_name, self._name, self._take = site.name, name, complete
         self._stamp_and_size, self._sensors, self._frame = stamp_and_size, camera.sensors, site.frame
         self.image_topics = image_topics(camera)
         self._other_inputs = other_inputs(camera)
@@ -92,13 +93,13 @@ class FrameJoin:
             POSE.name: Part(POSE.name, Match.NEAREST, round(config.pose_tolerance * 1e9), between=_between),
             CAMERA_INFO.name: Part(CAMERA_INFO.name, Match.LATEST),
         }
-        self._join = StampJoin(
+        super().__init__(
             [Part("image"), *(needed[topic.counted_name] for topic in self._other_inputs)],
             self._joined,
             health,
             config.max_waiting,
             max_wait=config.max_wait,
-            give_up=self._give_up,
+            give_up=self._count_lacking,
             capacity_bytes=site.limits.waiting_bytes,
         )
 
@@ -108,27 +109,13 @@ class FrameJoin:
         takes = {
             CAMERA_INFO.name: self.on_camera_info,
             POSE.name: self.on_pose,
-            FIX.name: lambda message: self._join.add(FIX.name, stamp_of(message), msg_to_fix(message)),
-            IMU.name: lambda message: self._join.add(IMU.name, stamp_of(message), msg_to_attitude(message)),
+            FIX.name: lambda message: self.add(FIX.name, stamp_of(message), msg_to_fix(message)),
+            IMU.name: lambda message: self.add(IMU.name, stamp_of(message), msg_to_attitude(message)),
         }
         found = {topic: takes[topic.counted_name] for topic in self._other_inputs}
         if any(topic.any_pose for topic in found):  # replays send them, if transforms lead on from the named ones
             found[replace(POSE, counted=False)] = self.on_pose
         return found
-
-    def add_image(self, stamp_ns: int, image: Any) -> None:
-        """Add an image. Raises the LtmError of a frame that it completes."""
-        self._join.add("image", stamp_ns, image)
-
-    def known(self, stamp_ns: int) -> bool:
-        """Return whether an image of this stamp would be a duplicate."""
-        return self._join.known("image", stamp_ns)
-
-    def tick(self, waited: float) -> None:
-        self._join.tick(waited)
-
-    def finish(self) -> None:
-        self._join.finish()
 
     def check_size(self, size: tuple[int, int], camera: Camera) -> None:
         """Check the size of an image. Raises ImageError if a calibration has another size, (width, height)."""
@@ -143,7 +130,7 @@ class FrameJoin:
         camera = msg_to_camera(message)
         if camera != self._calibration:
             self._calibration = camera
-        self._join.add(CAMERA_INFO.name, stamp_of(message), self._calibration)
+        self.add(CAMERA_INFO.name, stamp_of(message), self._calibration)
 
     def on_pose(self, message: Any) -> None:
         pose = msg_to_pose(message, "map")
@@ -153,7 +140,7 @@ class FrameJoin:
             covariance = msg_to_covariance(message, self.assumed)
         if self._pose is None or pose != self._pose[0] or not _equal(covariance, self._pose[1]):
             self._pose = pose, covariance
-        self._join.add(POSE.name, stamp_of(message), self._pose)
+        self.add(POSE.name, stamp_of(message), self._pose)
 
     def _joined(
         self,
@@ -169,9 +156,9 @@ class FrameJoin:
             stated = sensed_pose(fix, imu, stamp, size, self._frame, self._dem, self._sensors)
         assert stated is not None  # nosec B101 # tells the type checker what holds
         assert camera is not None  # nosec B101 # tells the type checker what holds
-        self._complete(JoinedFrame(image, *stated, camera))
+        self._take(JoinedFrame(image, *stated, camera))
 
-    def _give_up(self, stamp: int, lacking: list[str], why: str) -> None:
+    def _count_lacking(self, stamp: int, lacking: list[str], why: str) -> None:
         poses_first = sorted(self._other_inputs, key=lambda topic: topic.counted_name == CAMERA_INFO.name)
         missing = next(topic for topic in poses_first if topic.counted_name in lacking)
         name = missing.counted_name

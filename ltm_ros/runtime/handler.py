@@ -30,6 +30,10 @@ class Topic:
     def counted_name(self) -> str:
         return self.usual_name or self.name
 
+    def under(self, namespace: str) -> str:
+        """Return the absolute name in a namespace."""
+        return self.name if self.name.startswith("/") else f"{namespace}/{self.name}"
+
 
 class NodeConfig(StrictModel):
     """Parameters of every node."""
@@ -52,19 +56,15 @@ class Outlet(Protocol):
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
         """Publish the result of `make` for a frame of this stamp if the topic has subscribers; otherwise
         only count it."""
-        ...
 
     def wanted(self, topic: Topic) -> bool:
         """Return whether the topic has subscribers. Expensive messages are built only if it has."""
-        ...
 
     def more_waits(self) -> bool:
         """Return whether this handler gets further messages at once, and then `idle`."""
-        ...
 
     def now_ns(self) -> int:
         """Return the graph's time for checking stamps: ROS time, or the recording's; 0 before it begins."""
-        ...
 
 
 ConfigT = TypeVar("ConfigT", bound=NodeConfig)

@@ -40,7 +40,8 @@ class Health:
         self._cpu_s: float | None = None
         self._published_at = deque[float](maxlen=WINDOW)
         self._reasons: dict[str, str] = {}
-        self._last_error = ""
+        self.last_error = ""
+        """The last problem, after its cause."""
         self._lasting = ""
         self._last_trouble = -float("inf")
 
@@ -87,7 +88,7 @@ class Health:
     def trouble(self, cause: str, why: str) -> None:
         """Report a problem that has lost nothing so far; `why` holds the value and the remedy."""
         with self._lock:
-            self._last_error = f"{cause}: {why}"
+            self.last_error = f"{cause}: {why}"
             self._last_trouble = time.monotonic()
 
     def lasting(self, problem: str) -> None:
@@ -120,10 +121,6 @@ class Health:
             return dict(self._dropped)
 
     @property
-    def last_error(self) -> str:
-        return self._last_error
-
-    @property
     def troubled(self) -> bool:
         """Return whether a problem lasts, or something was dropped in the last ten seconds."""
         return bool(self._lasting) or time.monotonic() - self._last_trouble < 10.0
@@ -131,7 +128,7 @@ class Health:
     @property
     def message(self) -> str:
         """Return the current problem in words; `ok`: none."""
-        return self._lasting or (self._last_error if self.troubled else "ok")
+        return self._lasting or (self.last_error if self.troubled else "ok")
 
     def summary(self) -> dict[str, str]:
         """Return key -> value for `/diagnostics`; times in milliseconds, rates in Hz."""
@@ -150,7 +147,7 @@ class Health:
             if self._cpu_s is not None:
                 values["cpu_s"] = f"{self._cpu_s:.3f}"
             values |= self._gauges
-            values["last_error"] = self._last_error
+            values["last_error"] = self.last_error
             return values
 
 
@@ -263,7 +260,7 @@ class NodeRow:
     """Reason of the first drop of each cause, and of each lasting problem, after its name."""
 
     @classmethod
-    def of(cls, node: str, summary: dict[str, str]) -> "NodeRow":
+    def of(cls, node: str, summary: Mapping[str, str]) -> "NodeRow":
         """Parse the key -> value texts of a node's `/diagnostics` status."""
 
         def of(kind: str) -> dict[str, str]:
@@ -279,4 +276,4 @@ class NodeRow:
 
 def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
     """Return one row per node, by name, from the key -> value texts of their diagnostics."""
-    return [NodeRow.of(name, dict(summary)) for name, summary in sorted(summaries.items())]
+    return [NodeRow.of(name, summary) for name, summary in sorted(summaries.items())]

@@ -26,7 +26,6 @@ class Closable(Protocol):
 
     def close(self) -> int:
         """Finish, and return the exit status of the process."""
-        ...
 
 
 class _StoppedEarly(BaseException):

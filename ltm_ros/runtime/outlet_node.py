@@ -55,28 +55,23 @@ class OutletNode(Node):  # type: ignore[misc]
         """Functions that subscribe to a topic once its type is known, by the topic's name."""
 
     def publish(self, topic: Topic, message: Any) -> None:
-        """Implement Outlet."""
         self.send(topic, message)
         if not topic.latched:
-            self._count(topic, stamp_of(message))
+            self.health.published(topic.name, stamp_of(message), self.now_ns())
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
-        """Implement Outlet."""
         if self.wanted(topic):
             self.send(topic, make())
-        self._count(topic, stamp_ns)
+        self.health.published(topic.name, stamp_ns, self.now_ns())
 
     def wanted(self, topic: Topic) -> bool:
-        """Implement Outlet."""
         return bool(self._publishers_by_topic[topic].get_subscription_count() > 0)
 
     def more_waits(self) -> bool:
-        """Implement Outlet."""
         return False
 
     def now_ns(self) -> int:
-        """Implement Outlet."""
-        return int(self.get_clock().now().nanoseconds)
+        return int(self.get_clock().now().nanoseconds)  # 0: simulated time has not begun for this node
 
     def open(self, topic: Topic) -> None:
         """Create the publisher of `topic`."""
@@ -150,9 +145,6 @@ class OutletNode(Node):  # type: ignore[misc]
     def warn(self, text: str) -> None:
         """Log a warning, at a limited rate."""
         self.get_logger().warning(text, throttle_duration_sec=5.0)
-
-    def _count(self, topic: Topic, stamp_ns: int) -> None:
-        self.health.published(topic.name, stamp_ns, self.now_ns())  # 0: simulated time has not begun for this node
 
 
 def read_parameters(node: Node, model: type[ConfigT]) -> ConfigT:

@@ -16,14 +16,6 @@ class Job:
         self.name, self.namespace, self.health, self.handler = name, namespace, health, handler
         self.callbacks = dict(handler.subscriptions)
 
-    def topic(self, topic: Topic) -> str:
-        """Return its absolute name."""
-        return absolute(self.namespace, topic)
-
-
-def absolute(namespace: str, topic: Topic) -> str:
-    return topic.name if topic.name.startswith("/") else f"{namespace}/{topic.name}"
-
 
 Run = Callable[[Job, Callable[[], None], str, Any], None]
 """Runs a job on a message of a topic ("", None: none), and handles its errors."""
@@ -45,9 +37,9 @@ class Pipeline:
     def add(self, job: Job) -> None:
         self.jobs[job.name] = job
         for topic in job.handler.publications:
-            self._sources[job.topic(topic)].add(job.name)
+            self._sources[topic.under(job.namespace)].add(job.name)
         for topic in job.callbacks:
-            self._listeners[job.topic(topic)].append((job, topic))
+            self._listeners[topic.under(job.namespace)].append((job, topic))
 
     def start(self) -> None:
         """Start every handler."""
@@ -73,7 +65,7 @@ class Pipeline:
 
     def deliver(self, job: Job, topic: Topic, message: Any) -> None:
         """Give a message to one job at once."""
-        self._run(job, lambda: job.callbacks[topic](message), job.topic(topic), message)
+        self._run(job, lambda: job.callbacks[topic](message), topic.under(job.namespace), message)
 
     def drain(self) -> None:
         """Deliver all published messages, and those that follow from them."""

@@ -70,16 +70,9 @@ def _libc() -> ctypes.CDLL:
     return ctypes.CDLL(None)
 
 
-def tidy() -> None:
-    """Collect cycles among all objects since the start, release Python's free lists, and `trim`. Python itself searches
-    old objects only after hours."""
-    gc.collect()
-    trim()
-
-
 class Trimming:
-    """Calls `tidy` every `TIDY_EVERY_S`, before small permanent blocks fill the gaps of large ones. `now_s`: a steady
-    clock."""
+    """Collects cycles among all objects since the start, and trims, every `TIDY_EVERY_S`: before small permanent blocks
+    fill the gaps of large ones. Python itself searches old objects only after hours. `now_s`: a steady clock."""
 
     def __init__(self, now_s: float) -> None:
         self._tidied = now_s
@@ -87,4 +80,5 @@ class Trimming:
     def look(self, now_s: float) -> None:
         if now_s - self._tidied >= TIDY_EVERY_S:
             self._tidied = now_s
-            tidy()
+            gc.collect()
+            trim()

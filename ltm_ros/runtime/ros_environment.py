@@ -24,15 +24,9 @@ if TYPE_CHECKING:
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 MAX_DOMAIN = 232
+"""Highest ROS domain: DDS ports of higher ones do not fit into 16 bits."""
 
 _BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-
-
-def checked_domain(domain_id: int) -> int:
-    """Check a ROS domain. Raises ConfigError: DDS ports of domains above 232 do not fit into 16 bits."""
-    if not 0 <= domain_id <= MAX_DOMAIN:
-        raise ConfigError(f"ROS domain {domain_id}: give a number from 0 to {MAX_DOMAIN}")
-    return domain_id
 
 
 def available_cores() -> int:
@@ -54,7 +48,9 @@ def ros_environment(
     Only `domain_id` replaces an existing value. Raises ConfigError for a domain out of range."""
     environment = dict(os.environ if base is None else base)
     if domain_id is not None:
-        environment["ROS_DOMAIN_ID"] = str(checked_domain(domain_id))
+        if not 0 <= domain_id <= MAX_DOMAIN:
+            raise ConfigError(f"ROS domain {domain_id}: give a number from 0 to {MAX_DOMAIN}")
+        environment["ROS_DOMAIN_ID"] = str(domain_id)
     environment.setdefault("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("PYTHONUNBUFFERED", "1")

@@ -31,11 +31,7 @@ class StampCheck:
     max_behind: seconds by which a message may be late."""
 
     def __init__(
-        self,
-        now_ns: Callable[[], int],
-        health: Health,
-        max_ahead: float = math.inf,
-        max_behind: float = math.inf,
+        self, now_ns: Callable[[], int], health: Health, max_ahead: float = math.inf, max_behind: float = math.inf
     ) -> None:
         self._now_ns, self._health = now_ns, health
         self._max_ahead, self._max_behind = max_ahead, max_behind

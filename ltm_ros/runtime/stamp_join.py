@@ -133,8 +133,7 @@ class StampJoin:
     @property
     def subscriptions(self) -> dict[Topic, Callable[[Any], None]]:
         """Return the topics of the parts, with callbacks that add their messages."""
-        found = ((part.topic, part.name) for part in self._parts.values())
-        return {topic: partial(self._add_stamped, name) for topic, name in found if topic is not None}
+        return {p.topic: partial(self._add_stamped, p.name) for p in self._parts.values() if p.topic is not None}
 
     def _add_stamped(self, name: str, message: Any) -> None:
         self.add(name, stamp_of(message), message)

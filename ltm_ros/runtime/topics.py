@@ -124,7 +124,7 @@ RECORDED = _RECORDED_OF_CAMERA, _RECORDED_OF_SITE
 
 def camera_topic(site: str, camera: str, topic: Topic) -> str:
     """Return a camera topic's absolute name."""
-    return topic.name if topic.name.startswith("/") else f"/{site}/{camera}/{topic.name}"
+    return topic.under(f"/{site}/{camera}")
 
 
 def input_topic(camera: "CameraConfig", topic: Topic) -> Topic:

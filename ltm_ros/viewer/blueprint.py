@@ -62,7 +62,7 @@ def _terrain(cameras: Sequence[str], eye: Eye) -> rrb.Spatial3DView:
         background=(226, 234, 242),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
+            kind=rrb.Eye3DKind.Orbital, position=eye[0], look_target=eye[1], eye_up=(0.0, 0.0, 1.0)
         ),
     )
 

@@ -1,6 +1,6 @@
 """Convert core types for Rerun, and draw the changes of the terrain."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from typing import Any
 
 import cv2
@@ -8,15 +8,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from ltm_core.base.types import Float32Array, Int32Array, RgbImage, UInt8Array
+from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.geometry.pose import Pose
 from ltm_core.pictures import RangeScale, depth_colors, label_legend, range_legend, to_jpeg, to_png, with_legend
 from ltm_core.pictures.legend import INK, PAPER, UNLABELLED, ClassPalette, draw_texts, error_colors, error_legend
 from ltm_core.surface.change import ChangeKind
 from ltm_core.surface.surface_io import CHANGE_COLORS
-from ltm_ros.viewer.scene_geometry import TexturedMesh
 
 MAX_WIDTH = 960
 
@@ -27,36 +25,26 @@ def _shown_size(width: int, height: int) -> tuple[int, int]:
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
-def photo(rgb: RgbImage) -> rr.EncodedImage:
-    """Return the camera's image (H, W, 3)."""
-    return _jpeg(_shrunk(rgb, cv2.INTER_AREA), 80)
-
-
 def depth_picture(depth: Float32Array, scale: RangeScale) -> rr.EncodedImage:
     """Draw depth (H, W), metres, in colours of `scale`, over its legend."""
     # Nearest neighbour: a mean over a ridge line would show a depth that does not exist.
-    colors = depth_colors(_shrunk(depth, cv2.INTER_NEAREST), scale)
-    return _jpeg(with_legend(colors, range_legend(colors.shape[1], scale)), 85)
+    colors = depth_colors(shrunk(depth, cv2.INTER_NEAREST), scale)
+    return jpeg(with_legend(colors, range_legend(colors.shape[1], scale)), 85)
 
 
 def difference_picture(depth: Float32Array, other: Float32Array) -> rr.EncodedImage:
     """Draw the difference of two depths (H, W), metres, over the legend."""
-    colors = error_colors(_shrunk(depth, cv2.INTER_NEAREST), _shrunk(other, cv2.INTER_NEAREST))
-    return _jpeg(with_legend(colors, error_legend(colors.shape[1])), 85)
+    colors = error_colors(shrunk(depth, cv2.INTER_NEAREST), shrunk(other, cv2.INTER_NEAREST))
+    return jpeg(with_legend(colors, error_legend(colors.shape[1])), 85)
 
 
-def _jpeg(picture: RgbImage, quality: int) -> rr.EncodedImage:
-    return rr.EncodedImage(contents=to_jpeg(picture, quality), media_type="image/jpeg")
-
-
-def label_image(labels: UInt8Array) -> rr.SegmentationImage:
-    """Return class ids (H, W), to be drawn over the photo."""
-    return rr.SegmentationImage(_shrunk(labels, cv2.INTER_NEAREST), opacity=0.55, draw_order=1.0)
+def jpeg(picture: RgbImage, quality: int, **options: float) -> rr.EncodedImage:
+    return rr.EncodedImage(contents=to_jpeg(picture, quality), media_type="image/jpeg", **options)
 
 
 def heat_image(heat: UInt8Array) -> rr.Image:
     """Return the probability of a prompt x 255 (H, W), to be drawn over the photo: transparent at 0, red at 255."""
-    shown = _shrunk(heat, cv2.INTER_AREA)
+    shown = shrunk(heat, cv2.INTER_AREA)
     color = np.zeros((*shown.shape, 4), np.uint8)
     color[..., :2] = 255, 40
     color[..., 3] = shown // 4 * 3
@@ -80,21 +68,6 @@ def pinhole(camera: Camera, image_plane: float) -> rr.Pinhole:
     )
 
 
-def stand(pose: Pose) -> tuple[rr.Transform3D, rr.TransformAxes3D]:
-    """Return the transform from optical frame to map, without the axis arrows that the viewer draws by default."""
-    return rr.Transform3D(translation=pose.position, mat3x3=pose.rotation), rr.TransformAxes3D(0.0)
-
-
-def mesh(textured: TexturedMesh) -> rr.Mesh3D:
-    """Return the mesh without normals, because the texture contains the shading."""
-    return rr.Mesh3D(
-        vertex_positions=textured.vertices,
-        triangle_indices=textured.triangles,
-        vertex_texcoords=textured.texcoords,
-        albedo_texture=textured.texture,
-    )
-
-
 def annotation_context(palette: ClassPalette) -> rr.AnnotationContext:
     """Return names and colours of the classes; unlabelled is transparent."""
     classes = [(i, str(name), tuple(map(int, palette.colors[i]))) for i, name in enumerate(palette.names)]
@@ -108,7 +81,8 @@ def legend(palette: ClassPalette, cell: float) -> rr.EncodedImage:
     return rr.EncodedImage(contents=to_png(with_legend(names, text)), media_type="image/png")
 
 
-def _shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
+def shrunk(values: NDArray[Any], method: int) -> NDArray[Any]:
+    """Return an image at the size at which it is shown. `method`: OpenCV's interpolation."""
     height, width = values.shape[:2]
     size = _shown_size(width, height)
     return values if size == (width, height) else np.asarray(cv2.resize(values, size, interpolation=method))
@@ -121,26 +95,12 @@ MAX_POINTS = 60_000
 _COLORS = np.array([CHANGE_COLORS[kind] for kind in ChangeKind], np.uint8)
 
 
-@dataclass(eq=False)
-class ChangeLayer:
-    """The changed cells so far; each update has cells with a new kind."""
-
-    _cells: dict[tuple[int, int], tuple[float, float, float, int]] = field(default_factory=dict)
-
-    def update(self, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> rr.Points3D:
-        """Take cells (N, 2) row, col with their places (N, 3) and kinds (N,), and draw all changed cells."""
-        for (row, col), place, kind in zip(cells.tolist(), points.tolist(), kinds.tolist(), strict=True):
-            if kind == ChangeKind.NONE:
-                self._cells.pop((row, col), None)
-            else:
-                self._cells[row, col] = (*place, kind)
-        drawn = np.array(list(self._cells.values()), np.float64).reshape(-1, 4)
-        drawn = drawn[:: 1 + len(drawn) // MAX_POINTS]
-        return rr.Points3D(
-            drawn[:, :3].astype(np.float32),
-            colors=_COLORS[drawn[:, 3].astype(np.int64)],
-            radii=rr.Radius.ui_points(2.5),
-        )
+def changed_points(cells: Iterable[tuple[float, float, float, int]]) -> rr.Points3D:
+    """Draw changed cells: x, y, z and kind."""
+    drawn = np.array(list(cells), np.float64).reshape(-1, 4)
+    drawn = drawn[:: 1 + len(drawn) // MAX_POINTS]
+    colors = _COLORS[drawn[:, 3].astype(np.int64)]
+    return rr.Points3D(drawn[:, :3].astype(np.float32), colors=colors, radii=rr.Radius.ui_points(2.5))
 
 
 def change_picture(

@@ -3,13 +3,13 @@
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltm_core.base.errors import RasterError
-from ltm_core.base.types import Float32Array, Float64Array, IndexArray, RgbImage, UInt8Array, UInt32Array
+from ltm_core.base.types import Float64Array, IndexArray, UInt8Array
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures import label_colors, terrain_colors
 from ltm_core.pictures.legend import UNLABELLED, ClassPalette
@@ -22,14 +22,8 @@ TILE = 32
 """Cells on a side of a fuel tile, the unit in which the fuel layer is logged again."""
 
 
-@dataclass(frozen=True, eq=False)
-class TexturedMesh:
-    """`vertices` (N, 3), `triangles` (M, 3), and `texcoords` (N, 2) from the north-west of `texture` (h, w, 3)."""
-
-    vertices: Float32Array
-    triangles: UInt32Array
-    texcoords: Float32Array
-    texture: RgbImage
+Mesh = dict[str, NDArray[Any]]
+"""Arrays of a mesh, by the names that Rerun's Mesh3D gives them."""
 
 
 def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
@@ -44,8 +38,10 @@ def decimated(dem: Dem, max_triangles: int = MAX_TRIANGLES) -> Dem:
     return Dem(elevation, GridGeometry(*corner, g.resolution * step, elevation.shape[1], elevation.shape[0], g.crs))
 
 
-def terrain_mesh(dem: Dem) -> TexturedMesh:
-    """Return the terrain with tinted relief as its texture; no triangle touches a cell without height."""
+def terrain_mesh(dem: Dem) -> Mesh:
+    """Return the terrain with tinted relief as its texture; no triangle touches a cell without height.
+
+    It has no normals, because the texture contains the shading."""
     coarse = decimated(dem)
     rows, cols = coarse.elevation.shape
     row, col = np.mgrid[:rows, :cols]
@@ -61,21 +57,12 @@ def terrain_mesh(dem: Dem) -> TexturedMesh:
     texcoords = np.stack(
         [(x - fine.x_min) / (fine.x_max - fine.x_min), (fine.y_max - y) / (fine.y_max - fine.y_min)], -1
     )
-    return TexturedMesh(vertices, triangles, texcoords.reshape(-1, 2).astype(np.float32), _texture(dem))
-
-
-def _texture(dem: Dem) -> RgbImage:
-    return terrain_colors(coarser(dem, -(-max(dem.elevation.shape) // MAX_TEXTURE)))
-
-
-@dataclass(frozen=True, eq=False)
-class FuelTile:
-    """The cells with evidence of one tile: four `vertices` and two `triangles` per cell, a colour per vertex."""
-
-    name: str
-    vertices: Float32Array
-    triangles: UInt32Array
-    colors: RgbImage
+    return {
+        "vertex_positions": vertices,
+        "triangle_indices": triangles,
+        "vertex_texcoords": texcoords.reshape(-1, 2).astype(np.float32),
+        "albedo_texture": terrain_colors(coarser(dem, -(-max(dem.elevation.shape) // MAX_TEXTURE))),
+    }
 
 
 class FuelLayer:
@@ -89,16 +76,17 @@ class FuelLayer:
         self._lift = 0.12 * max(geometry.resolution, self._surface.geometry.resolution)
         self._shown = np.full(geometry.shape, UNLABELLED, np.uint8)
 
-    def changed(self, classes: UInt8Array) -> Iterator[FuelTile]:
-        """Return the tiles that differ from the last call. Raises RasterError for classes of another shape."""
+    def changed(self, classes: UInt8Array) -> Iterator[tuple[str, Mesh]]:
+        """Return the name and the cells with evidence of each tile that differs from the last call: four vertices, each
+        with a colour, and two triangles per cell. Raises RasterError for classes of another shape."""
         if classes.shape != self._geometry.shape:
             raise RasterError(f"classes of shape {classes.shape} do not fit a fuel grid of {self._geometry.shape}")
         rows, cols = np.nonzero(classes != self._shown)
         self._shown = classes.copy()
         for row, col in sorted(set(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))):
-            yield self._tile(row * TILE, col * TILE)
+            yield f"r{row:03d}_c{col:03d}", self._tile(row * TILE, col * TILE)
 
-    def _tile(self, row: int, col: int) -> FuelTile:
+    def _tile(self, row: int, col: int) -> Mesh:
         part = self._shown[row : row + TILE, col : col + TILE]
         rows, cols = part.shape
         window = self._geometry.window(row, col, rows, cols)
@@ -121,20 +109,17 @@ class FuelLayer:
         first = 4 * np.arange(np.count_nonzero(seen), dtype=np.uint32)
         triangles = first[:, None, None] + np.array([[0, 1, 2], [2, 1, 3]], np.uint32)
         colors = np.repeat(label_colors(part[seen], self._palette), 4, axis=0)
-        name = f"r{row // TILE:03d}_c{col // TILE:03d}"
-        return FuelTile(name, quads[seen].reshape(-1, 3), triangles.reshape(-1, 3), colors)
+        parts = {"vertex_positions": quads[seen].reshape(-1, 3), "triangle_indices": triangles.reshape(-1, 3)}
+        return parts | {"vertex_colors": colors}
 
 
-@dataclass(frozen=True)
-class Eye:
-    """Viewpoint and target of the 3D view (map frame)."""
-
-    position: tuple[float, float, float]
-    target: tuple[float, float, float]
+Eye = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Viewpoint and target of the 3D view (map frame)."""
 
 
 def overview_eye(dem: Dem, positions: Float64Array, azimuths_deg: Float64Array, reach: float) -> Eye:
-    """Return a viewpoint behind and above the cameras that shows all of them and the ground before them.
+    """Return a viewpoint behind and above the cameras that shows all of them and the ground before them, and its
+    target.
 
     `positions` (N, 3) and `azimuths_deg` (N,) of the cameras, `reach` metres ahead of each as far as the DEM extends;
     without a camera, the whole DEM from the south."""
@@ -160,7 +145,7 @@ def overview_eye(dem: Dem, positions: Float64Array, azimuths_deg: Float64Array, 
     # The viewpoint must not be inside a mountain behind the cameras.
     under = float(dem.elevation_at(x, y))
     height = max(ground + radius * 0.9, under + radius * 0.2 if math.isfinite(under) else -math.inf)
-    return Eye((float(x), float(y), height), (float(centre[0]), float(centre[1]), ground))
+    return (float(x), float(y), height), (float(centre[0]), float(centre[1]), ground)
 
 
 def thinned(points: NDArray[np.floating], most: int) -> IndexArray:

@@ -24,7 +24,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
+from ltm_ros.runtime.web_server import Route, WebResponse, WebServer, bind_error
 
 LOOPBACK = "127.0.0.1"
 WEB_PORT, GRPC_PORT = 9090, 9876
@@ -95,11 +95,10 @@ class RerunProcess:
 
         Raises ConfigError if a port is in use or the server does not start."""
         for port in (web_port, grpc_port):
-            try:
-                _bound(port)
-            except OSError as error:
+            if (error := bind_error(LOOPBACK, port)) is not None:
                 raise ConfigError(f"port {port} on {LOOPBACK} is in use ({error.strerror}): choose another") from error
-        own_page = _bound(0)
+        with socket.create_server((LOOPBACK, 0)) as free:
+            own_page = int(free.getsockname()[1])
         ports = ["--web-viewer-port", str(own_page), "--port", str(grpc_port)]
         files = [str(recording)] if recording is not None else []
         process = cls([*files, "--serve-web", *ports, "--server-memory-limit", memory_limit])
@@ -173,11 +172,3 @@ def listens(port: int) -> bool:
     with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=0.2):
         return True
     return False
-
-
-def _bound(port: int) -> int:
-    """Return the port that can be bound now, 0: any. Raises OSError."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind((LOOPBACK, port))
-        return int(probe.getsockname()[1])

@@ -16,15 +16,16 @@ from ltm_core.base.types import Float32Array, Int32Array, RgbImage, UInt8Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
-from ltm_core.pictures import MapCamera, RangeScale, to_jpeg
+from ltm_core.pictures import MapCamera, RangeScale
 from ltm_core.pictures.legend import ClassPalette
 from ltm_core.pictures.maps import relief
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
+from ltm_core.surface.change import ChangeKind
 from ltm_ros.viewer import fuel_maps as archetypes
 from ltm_ros.viewer import scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, site_blueprint
-from ltm_ros.viewer.fuel_maps import ChangeLayer, change_classes
+from ltm_ros.viewer.fuel_maps import change_classes
 from ltm_ros.viewer.server import GRPC_PORT, LIVE_MEMORY, WEB_PORT, RerunProcess, grpc_url, web_url
 
 MAX_POINTS = 15_000
@@ -81,7 +82,8 @@ class RerunView:
                     self._place(name, config.pose.pose(dem, site.frame), config.calibration.camera())
         self._fuel = scene_geometry.FuelLayer(dem, site.fuel_geometry(dem), label_set)
         self._fuel_geometry = site.fuel_geometry(dem)
-        self._change = ChangeLayer()
+        self._changed: dict[tuple[int, int], tuple[float, float, float, int]] = {}
+        """Places and kinds of the changed cells so far, by row and col."""
         if sinks:
             self._recording.set_sinks(*sinks, default_blueprint=self._blueprint())
         self._log_scene()
@@ -89,7 +91,7 @@ class RerunView:
     def log_image(self, camera: str, stamp_ns: int, rgb: RgbImage) -> None:
         """Log the camera's image, (H, W, 3) uint8."""
         with self._at(stamp_ns) as log:
-            log(f"map/cameras/{camera}/photo", archetypes.photo(rgb))
+            log(f"map/cameras/{camera}/photo", archetypes.jpeg(archetypes.shrunk(rgb, cv2.INTER_AREA), 80))
 
     def log_depth(self, camera: str, stamp_ns: int, depth: Float32Array, model: Camera) -> None:
         """Log depth (H, W), metres; +inf sky, NaN unknown. Raises ImageError for another size."""
@@ -117,7 +119,8 @@ class RerunView:
     def log_labels(self, camera: str, stamp_ns: int, labels: UInt8Array) -> None:
         """Log class ids (H, W) uint8, 255 unlabelled, of the size of the image."""
         with self._at(stamp_ns) as log:
-            log(f"map/cameras/{camera}/labels", archetypes.label_image(labels))
+            shown = archetypes.shrunk(labels, cv2.INTER_NEAREST)
+            log(f"map/cameras/{camera}/labels", rr.SegmentationImage(shown, opacity=0.55, draw_order=1.0))
 
     def log_heat(self, camera: str, stamp_ns: int, heat: UInt8Array) -> None:
         """Log the probability of a prompt (H, W) uint8, of the size of the image."""
@@ -127,7 +130,9 @@ class RerunView:
     def log_pose(self, camera: str, stamp_ns: int, pose: Pose, model: Camera) -> None:
         """Log the camera's pose. Without one in the site file, the first pose moves the view there."""
         with self._at(stamp_ns) as log:
-            log(f"map/cameras/{camera}", *archetypes.stand(pose), archetypes.pinhole(model, self._reach * 0.15))
+            place = rr.Transform3D(translation=pose.position, mat3x3=pose.rotation)
+            axes = rr.TransformAxes3D(0.0)  # else the viewer draws arrows
+            log(f"map/cameras/{camera}", place, axes, archetypes.pinhole(model, self._reach * 0.15))
             expected = self._poses.get(camera)
             if camera not in self._shown or expected != pose:
                 self._shown.add(camera)
@@ -164,9 +169,10 @@ class RerunView:
                 log("map/fuel", rr.Clear(recursive=True))
                 for name in self._shown:
                     self._log_on_map(name)
-            changed = list(self._fuel.changed(classes))
-            for tile in changed:
-                self._log_tile(tile)
+            changed = dict(self._fuel.changed(classes))
+            for name, parts in changed.items():
+                tile = rr.Mesh3D(**parts, albedo_factor=(255, 255, 255, 200))
+                log(f"map/fuel/{name}", tile if len(parts["triangle_indices"]) else rr.Clear(recursive=False))
             if changed:
                 log("fuel_map/classes", rr.SegmentationImage(classes, opacity=0.7, draw_order=1.0))
 
@@ -178,7 +184,12 @@ class RerunView:
     def log_changed_cells(self, stamp_ns: int, cells: Int32Array, points: Float32Array, kinds: UInt8Array) -> None:
         """Log cells (N, 2) row, col of the terrain's grid whose kind of change (N,) is new, at points (N, 3)."""
         with self._at(stamp_ns) as log:
-            log("map/change", self._change.update(cells, points, kinds))
+            for (row, col), place, kind in zip(cells.tolist(), points.tolist(), kinds.tolist(), strict=True):
+                if kind == ChangeKind.NONE:
+                    self._changed.pop((row, col), None)
+                else:
+                    self._changed[row, col] = (*place, kind)
+            log("map/change", archetypes.changed_points(self._changed.values()))
 
     def close(self) -> None:
         """Write what is pending, finish the file, end the server."""
@@ -231,7 +242,7 @@ class RerunView:
             log = self._recording
             log.log("/", archetypes.annotation_context(self._palette), static=True)
             log.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            log.log("map/terrain", archetypes.mesh(scene_geometry.terrain_mesh(self._dem)), static=True)
+            log.log("map/terrain", rr.Mesh3D(**scene_geometry.terrain_mesh(self._dem)), static=True)
             log.log("legend", archetypes.legend(self._palette, self._fuel_geometry.resolution), static=True)
             self._log_relief()
             if self._site.terrain is not None:
@@ -250,7 +261,7 @@ class RerunView:
         self._recording.log(
             "fuel_map/relief",
             rr.Transform3D(scale=(g.width / picture.shape[1], g.height / picture.shape[0], 1.0)),
-            rr.EncodedImage(contents=to_jpeg(picture, 88), media_type="image/jpeg", draw_order=-1.0),
+            archetypes.jpeg(picture, 88, draw_order=-1.0),
             static=True,
         )
 
@@ -264,9 +275,3 @@ class RerunView:
         place, name = {"positions": outline[:1], "draw_order": 3.0}, {"labels": [camera], "colors": [NAME_COLOR]}
         log(entity, rr.Points2D(**place, colors=[CAMERA_COLOR], radii=points(6.0)))
         log(f"{entity}/name", rr.Points2D(**place | name | {"draw_order": 4.0}, radii=points(2.5)))
-
-    def _log_tile(self, tile: scene_geometry.FuelTile) -> None:
-        entity = f"map/fuel/{tile.name}"
-        parts = {"vertex_positions": tile.vertices, "triangle_indices": tile.triangles, "vertex_colors": tile.colors}
-        mesh = rr.Mesh3D(**parts, albedo_factor=(255, 255, 255, 200))
-        self._recording.log(entity, mesh if len(tile.triangles) else rr.Clear(recursive=False))

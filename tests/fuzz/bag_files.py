@@ -8,6 +8,7 @@ from pathlib import Path
 import lz4.frame
 import numpy as np
 import zstandard
+from mcap.writer import CompressionType
 from rclpy.serialization import serialize_message
 
 from fuzz.mutations import spoil_bytes
@@ -26,7 +27,7 @@ from ltm_msgs_py.sensors import camera_to_msg
 def _bags(folder: Path) -> list[bytes]:
 
     files = []
-    for number, compression in enumerate(("zstd", None)):
+    for number, compression in enumerate((CompressionType.ZSTD, CompressionType.NONE)):
         with BagWriter(folder / f"made{number}", compression=compression) as bag:
             for stamp in (10**18, 10**18 + 5, 10**18 + 9):
                 bag.write("/a/camera_info", camera_to_msg(Camera.from_fov(12, 7, 60.0), stamp, "a"), stamp)

@@ -61,7 +61,6 @@ class Host:
 def a_host() -> Iterator[Host]:
     holder = subprocess.Popen(["unshare", "--net", "sh", "-c", "echo up; exec cat"], stdin=-1, stdout=-1, text=True)
     try:
-        assert holder.stdout is not None
         if holder.stdout.readline() != "up\n":
             pytest.skip("this machine lets nobody make network namespaces")
         yield Host(holder.pid)
@@ -106,8 +105,6 @@ class Onlooker:
         self._process.communicate()
 
     def sees(self) -> dict[str, list[str]]:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._process.stdin.write("look\n")
         self._process.stdin.flush()
         seen: dict[str, list[str]] = json.loads(self._process.stdout.readline())

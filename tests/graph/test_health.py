@@ -162,7 +162,6 @@ def test_a_click_in_a_picture_is_located(tower: Tower, tmp_path: Path) -> None:
         page.goto(f"http://127.0.0.1:{tower.port}/")
         page.wait_for_selector("img.markable[src^='/picture/tower/photo']")
         box = page.locator("img.markable").bounding_box()
-        assert box is not None
         page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.8 * box["height"])
         page.wait_for_selector("#places tbody tr", timeout=60_000)
         assert "Marked: tower, pixel" in page.locator("#marked").inner_text()

@@ -102,7 +102,6 @@ sys.exit(runner.run())
 def _run_in_process(nodes: int, pids: dict[str, int]) -> subprocess.Popen[str]:
     """`Runner.run` in a process of its own, once all its nodes have said hello; fills in their process ids."""
     runner = subprocess.Popen([sys.executable, "-c", RUN, str(HERE), str(nodes)], stdout=subprocess.PIPE, text=True)
-    assert runner.stdout is not None
     for line in runner.stdout:
         if found := re.search(r"hello from (\S+) pid (\d+)", line):
             pids[found[1]] = int(found[2])
@@ -114,7 +113,6 @@ def _run_in_process(nodes: int, pids: dict[str, int]) -> subprocess.Popen[str]:
 def test_signal_to_the_runner_ends_everything(ros_domain: int) -> None:
     pids: dict[str, int] = {}
     runner = _run_in_process(2, pids)
-    assert runner.stdout is not None
     # Only lines of the runner itself have no label.
     assert next(line for line in runner.stdout if line.startswith("--")) == "-- all 2 nodes are ready\n"
     runner.send_signal(signal.SIGINT)

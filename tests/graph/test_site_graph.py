@@ -72,10 +72,7 @@ def replayed(
         parameters={"fuel_map": {"export_path": str(out / "map" / "fuel_map.tif")}},
     )
     runner = Runner(
-        graph,
-        domain_id=module_ros_domain,
-        console=lines.append,
-        policy=RestartPolicy(initial_s=0.1, maximum_s=1.0),
+        graph, domain_id=module_ros_domain, console=lines.append, policy=RestartPolicy(initial_s=0.1, maximum_s=1.0)
     )
     with runner, Bystander() as bystander:
         runner.wait_until_ready(120.0)
@@ -177,10 +174,7 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
                 wait_for_work(victim, again[victim])
             assert {label: pid for label, pid in replayed.pids.items() if label not in victims} == others, victims
         newest = player.now_ns()
-        wait_for(
-            lambda: max(bystander.stamps(WORK["cameras"][0]), default=0) > newest,
-            "votes at the very end",
-        )
+        wait_for(lambda: max(bystander.stamps(WORK["cameras"][0]), default=0) > newest, "votes at the very end")
     assert all(pid != before[label] for label, pid in replayed.pids.items())
     assert runner.given_up == []
     finish_files(runner)

@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 from bystander import Bystander
 from scenes.small_site import BEGIN_NS, NAME, SmallSite
-from scenes.terrain_frames import (
-    HOUR,
-    block_cells,
-    built_up,
-    mast_pose,
-    photo_of_depth,
-    write_fusing_site,
-)
+from scenes.terrain_frames import HOUR, block_cells, built_up, mast_pose, photo_of_depth, write_fusing_site
 from scenes.waiting import wait_for
 
 from ltm_msgs_py.cells import msg_to_changed
@@ -23,14 +16,7 @@ from ltm_msgs_py.image import image_to_msg
 from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.runner import Runner
 from ltm_ros.launching.supervisor import RestartPolicy
-from ltm_ros.runtime.topics import (
-    IMAGE_RAW,
-    TERRAIN_CHANGE,
-    TERRAIN_INFO,
-    TERRAIN_UPDATE,
-    camera_topic,
-    site_topic,
-)
+from ltm_ros.runtime.topics import IMAGE_RAW, TERRAIN_CHANGE, TERRAIN_INFO, TERRAIN_UPDATE, camera_topic, site_topic
 
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("kernels")]
 

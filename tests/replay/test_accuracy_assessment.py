@@ -51,7 +51,6 @@ def true_figures(plan: MapPlan) -> dict[str, float]:
 
 
 def contained(figures: Figures, truth: dict[str, float]) -> dict[str, bool]:
-    assert figures.prior is not None
     found = {"map": figures.map.overall, "prior": figures.prior.overall, "change": figures.changes["prevalence"]}
     return {name: one.low <= truth[name] <= one.high for name, one in found.items()}
 

@@ -9,7 +9,7 @@ from sensor_msgs.msg import NavSatFix
 from ltm_core.tracing import TerrainTracer
 from ltm_msgs_py.bag.reader import BagReader
 from ltm_msgs_py.bag.writer import BagWriter
-from ltm_msgs_py.cells import msg_to_traced
+from ltm_msgs_py.cells import msg_to_version
 from ltm_msgs_py.image import image_to_msg, msg_to_depth
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.launching.graph import Graph, describe
@@ -59,7 +59,7 @@ def test_a_replay_goes_over_to_the_confirmed_surface_and_repeats_to_the_bit(tmp_
     def of(topic: Any) -> list[Any]:
         return [reader.decode(message) for message in reader.messages([camera_topic(NAME, "mast", topic)])]
 
-    traced = dict(msg_to_traced(message) for message in of(DEPTH_INFO))
+    traced = {stamp_of(message): msg_to_version(message) for message in of(DEPTH_INFO)}
     assert list(traced) == STAMPS
     switched = [bool(version) for version in traced.values()]
     assert switched == sorted(switched), "once confirmed, it stays so"

@@ -5,7 +5,7 @@ import pytest
 import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from scenes.transforms import transform_to_msg
+from scenes.transforms import LINK_OPTICAL, transform_to_msg
 from typer.testing import CliRunner
 
 from ltm_core.base.resources import project_path
@@ -14,7 +14,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.storage.image_io import read_rgb
 from ltm_msgs_py.bag.cdr import TF_TYPE, transforms_to_raw
 from ltm_msgs_py.bag.reader import BagReader
-from ltm_msgs_py.pose import LINK_OPTICAL, link_transform, msg_to_transform
+from ltm_msgs_py.pose import link_transform, msg_to_transform
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.cli.main import cli
 

@@ -28,8 +28,8 @@ WORDS = {
 
 def demo_frames(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return photos (H, W, 3) and true labels (h, w) of the first frames of the demo."""
-    stream = FrameStream(DEMO / "recording", load_site(DEMO / "site.yaml"), ["tower_north", "tower_east"],
-                         {name: PARTS[name] for name in ("photo", "truth_labels")})  # fmt: skip
+    parts = {name: PARTS[name] for name in ("photo", "truth_labels")}
+    stream = FrameStream(DEMO / "recording", load_site(DEMO / "site.yaml"), parts, ["tower_north", "tower_east"])
     found = []
     for frame in stream.frames(["photo", "truth_labels"]):
         found.append((frame.take("photo"), frame.take("truth_labels")))

@@ -34,7 +34,7 @@ ON_DEMAND = {
     "paho": "the link to a region's map",
     "cryptography": "certificates of that link",
     "pyretechnics": "fires, by an interpreter of its own",
-    "rosbags": "SQLite bags, and message definitions where no ROS is installed",
+    "rosbags": "SQLite bags",
     "pyarrow": "archives worked again",
     "jinja2": "reports of the demo and of fires",
     "av": "RTSP streams",

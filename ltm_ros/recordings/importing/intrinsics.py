@@ -140,7 +140,7 @@ def lens_of_photo(exif: Exif, xmp: Mapping[str, str], width: int, height: int) -
         not_pinhole = "its metadata states a fisheye lens"
     plane = tuple(r / unit for r in resolutions if unit and r)
     size = _pair(exif.get_ifd(_INTEROPERABILITY_IFD), _RELATED_SIZE) or recorded
-    calibration = _xmp_calibration(xmp, size or (width, height), plane)
+    calibration = _xmp_calibration(xmp, size or (width, height))
     as_recorded = exif.get(ORIENTATION, 1) == 1 and (size is None or (size[0] > size[1]) == (width > height))
     return LensFacts(
         focal_mm=positive(photo.get(_FOCAL_LENGTH)),
@@ -155,8 +155,8 @@ def lens_of_photo(exif: Exif, xmp: Mapping[str, str], width: int, height: int) -
     )
 
 
-def _xmp_calibration(xmp: Mapping[str, str], size: tuple[float, float], plane: tuple[float, ...]) -> PartialCalibration:
-    """Return what drones state: DJI's dewarp data or calibrated focal length, or Pix4D's tags (Parrot, MicaSense)."""
+def _xmp_calibration(xmp: Mapping[str, str], size: tuple[float, float]) -> PartialCalibration:
+    """Return what DJI's drones state: dewarp data, or the calibrated focal length."""
     k1, k2, k3, p1, p2 = 0.0, 0.0, 0.0, 0.0, 0.0
     middle = [(side - 1) / 2 for side in size]
     dewarp = _numbers(xmp.get("drone-dji:DewarpData", "").partition(";")[2])
@@ -166,12 +166,6 @@ def _xmp_calibration(xmp: Mapping[str, str], size: tuple[float, float], plane: t
         focal, centre = dewarp[:2], [c + m for c, m in zip(dewarp[2:4], middle, strict=True)]
         if xmp.get("drone-dji:DewarpFlag") != "1":  # else the image is rectified
             k1, k2, p1, p2, k3 = dewarp[4:]
-    elif not focal:
-        focal = _numbers(xmp.get("Camera:PerspectiveFocalLength", "").removesuffix("mm"))
-        centre = _numbers(xmp.get("Camera:PrincipalPoint", ""))
-        if xmp.get("Camera:PerspectiveFocalLengthUnits", "mm") == "mm":
-            focal, centre = ([v * plane[0] for v in values if plane] for values in (focal, centre))
-        k1, k2, k3, p1, p2 = (_numbers(xmp.get("Camera:PerspectiveDistortion", "")) + [0.0] * 5)[:5]
     if not focal or min(focal) < _LEAST_FOCAL * max(size):  # some models state millimetres
         return PartialCalibration()
     if len(centre) != 2 or any(abs(c - m) > 0.2 * m for c, m in zip(centre, middle, strict=True)):

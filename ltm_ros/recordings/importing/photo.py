@@ -42,7 +42,8 @@ _TURNS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels."""
+    """One photo. `data`: `image_format` (jpeg or png) bytes of the upright image, `width` x `height` pixels. `turned`:
+    what EXIF does to the stored image, `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
 
     path: Path
     data: bytes
@@ -52,14 +53,7 @@ class Photo:
     exif: ExifFacts
     sensed: Sensed
     lens: LensFacts = field(default_factory=LensFacts)
-
-    @property
-    def turned(self) -> str:
-        """Return what EXIF does to the stored image: `EXIF turns it by 90 degrees clockwise`; empty: nothing."""
-        # Decoders have turned these formats.
-        own = (".heic", ".heif", ".hif", ".tif", ".tiff")
-        known = self.path.suffix.lower() not in own and self.exif.orientation in _TURNS
-        return f"EXIF {_TURNS[self.exif.orientation]}" if known else ""
+    turned: str = ""
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,8 @@ def photo_of(data: bytes, path: Path) -> Photo:
             stored = encode_rgb(pixels, encoding or "jpeg", _REENCODED_QUALITY)
     encoding = encoding or "jpeg"
     sensed = sensed_by_xmp(xmp, facts.sensed)
-    return Photo(path, stored, encoding, width, height, facts, sensed, lens)
+    turned = f"EXIF {_TURNS[turn]}" if turn in _TURNS else ""
+    return Photo(path, stored, encoding, width, height, facts, sensed, lens, turned)
 
 
 def _turned_jpeg(stored: JpegImageFile, pixels: UInt8Array, turn: int) -> bytes:

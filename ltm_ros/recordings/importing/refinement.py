@@ -4,13 +4,12 @@ The compass error of a phone is similar in all photos of a walk (iron in its cas
 pose give the compass error of the others, which are searched again from there."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ltm_core.base.errors import ImageError, LtmError
-from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pipeline.site_surface import site_terrain
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
@@ -27,6 +26,7 @@ from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneFilter
+from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.recordings.importing.georeference import PlacedPhoto
 
 LEAST_AGREEING, MOST_SPREAD_DEG = 4, 4.0
@@ -80,27 +80,22 @@ class _Looked:
 
 
 class PoseRefinement:
-    """Matches each photo's skyline and ridges with the terrain of `site`, starting from its stated pose.
+    """Matches each photo's skyline and ridges with the terrain of `site`, starting from its stated pose. Raises
+    DemError at creation."""
 
-    `segment`: labels (H, W) of a photo (H, W, 3); by default by the site's network. Raises DemError at creation."""
-
-    def __init__(self, site: Site, segment: Callable[[UInt8Array], UInt8Array] | None = None) -> None:
+    def __init__(self, site: Site) -> None:
         self._site = site
         self._terrain, self._config = site_terrain(site)
         self._assumed = site.assumed_pose_error.covariance()
-        self._segment = segment
-        self._views: dict[str, tuple[Callable[[UInt8Array], UInt8Array], SceneFilter]] = {}
-        """How each camera's photos are labelled, and its mask."""
+        self._views: dict[str, tuple[Segmenter, SceneFilter]] = {}
+        """The network that labels each camera's photos, and its mask."""
         self._looked: dict[tuple[str, str], _Looked | str] = {}
         """Results by camera and photo; the reason for a photo that could not be searched."""
 
     def look(self, camera: str, name: str, item: PlacedPhoto) -> None:
         """Search one photo by itself, before the first one is refined. Raises ModelError, ConfigError."""
         if camera not in self._views:
-            network = None if self._segment is not None else site_segmenter(self._site, camera)
-            segment = self._segment if network is None else lambda photo: network.segment(photo).labels
-            assert segment is not None  # nosec B101 # tells the type checker what holds
-            self._views[camera] = segment, site_scene_filter(self._site, camera)
+            self._views[camera] = site_segmenter(self._site, camera), site_scene_filter(self._site, camera)
         try:
             stated = self._stated(item)
             # A photo without a measured tilt was still held roughly level.
@@ -142,10 +137,10 @@ class PoseRefinement:
         return PosePrior.of_covariance(item.pose, self._assumed if item.covariance is None else item.covariance)
 
     def _search(self, camera: str, item: PlacedPhoto, prior: PosePrior) -> tuple[PoseResult, Refinement]:
-        segment, scene = self._views[camera]
+        segmenter, scene = self._views[camera]
         photo = decode_rgb(item.photo.data)
         seen = scene.look(photo, Looking.of(item.camera, item.pose))
-        labels = segment(seen.scene(photo))
+        labels = segmenter.segment(seen.scene(photo)).labels
         doubt = doubt_of_sky(labels, seen.hidden)
         if doubt is not None:
             raise ImageError(doubt)

@@ -20,7 +20,7 @@ from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.recordings.inputs import InputReader, beside_expected, decoded_input, is_image, warn_of_ignored
 from ltm_ros.runtime.handler import NodeType, Topic
 from ltm_ros.runtime.health import Health, cause_of
-from ltm_ros.runtime.pipeline import Job, Pipeline, absolute
+from ltm_ros.runtime.pipeline import Job, Pipeline
 from ltm_ros.runtime.topics import CAMERA_TRUTH, POSED_POSE, camera_topic
 
 RECORDING = "recording"
@@ -213,18 +213,18 @@ class _Outlet:
         self._graph, self._namespace, self._health = graph, namespace, health
 
     def publish(self, topic: Topic, message: Any) -> None:
-        self._graph.publish(absolute(self._namespace, topic), message, topic.latched)
+        self._graph.publish(topic.under(self._namespace), message, topic.latched)
         if not topic.latched:
             self._health.published(topic.name)
 
     def provide(self, topic: Topic, stamp_ns: int, make: Callable[[], Any]) -> None:
-        if self._graph.wanted(absolute(self._namespace, topic)):
+        if self._graph.wanted(topic.under(self._namespace)):
             self.publish(topic, make())
         else:
             self._health.published(topic.name)
 
     def wanted(self, topic: Topic) -> bool:
-        return self._graph.listened(absolute(self._namespace, topic))
+        return self._graph.listened(topic.under(self._namespace))
 
     def more_waits(self) -> bool:
         """Each frame is finished before the next is fed, so none is dropped for a newer one."""

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
+from mcap.writer import CompressionType
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
@@ -81,7 +82,7 @@ def every_message() -> dict[str, Any]:
     }
 
 
-@pytest.fixture(scope="module", params=["zstd", None], ids=["zstd", "plain"])
+@pytest.fixture(scope="module", params=[CompressionType.ZSTD, CompressionType.NONE], ids=["zstd", "plain"])
 def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Each message twice, in chunks small enough for several of them."""
     path = tmp_path_factory.mktemp("bags") / "every"

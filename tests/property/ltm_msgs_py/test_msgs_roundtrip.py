@@ -14,7 +14,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_msgs_py.grid import classes_to_msg, msg_to_classes, tile_window
 from ltm_msgs_py.image import ENCODINGS, image_to_msg, msg_to_array
-from ltm_msgs_py.pointcloud import columns_to_msg, msg_to_columns, msg_to_votes, votes_to_msg
+from ltm_msgs_py.pointcloud import msg_to_votes, votes_to_msg
 from ltm_msgs_py.pose import msg_to_pose, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import LATEST_NS, ns_to_time, time_to_ns
@@ -100,16 +100,3 @@ def test_votes(data: st.DataObject, height: int, width: int, classes: int, stamp
         sent, found = getattr(votes, name), getattr(back, name)
         assert (found.dtype, found.tobytes()) == (sent.dtype, sent.tobytes())
     assert back.stamp_ns == stamp_ns
-
-
-@quick
-@given(st.data(), st.integers(0, 20))
-def test_columns_of_points(data: st.DataObject, count: int) -> None:
-    given_columns = {
-        name: data.draw(arrays(dtype, count))
-        for name, dtype in (("x", np.float32), ("code", np.int16), ("form", np.uint8), ("t", np.float64))
-    }
-    back = msg_to_columns(on_the_wire(columns_to_msg(given_columns, 1)))
-    assert {name: column.tobytes() for name, column in back.items()} == {
-        name: column.tobytes() for name, column in given_columns.items()
-    }

@@ -1,11 +1,9 @@
-import io
 from array import array
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image as PillowImage
 from sensor_msgs.msg import CompressedImage, Image
 
 from ltm_core.base.errors import ImageError
@@ -182,16 +180,6 @@ def test_png_is_exact_and_jpeg_close() -> None:
     jpeg = compressed_to_rgb(compressed_to_msg(encode_rgb(image, "jpeg", 95), "jpeg", 7, "c"))
     assert np.abs(jpeg.astype(int) - image).mean() < 3
     assert png.header.stamp.nanosec == 7
-
-
-def test_exif_orientation_does_not_turn_the_pixels() -> None:
-    stream = io.BytesIO()
-    picture = PillowImage.fromarray(smooth())
-    exif = picture.getexif()
-    exif[0x0112] = 6
-    picture.save(stream, "JPEG", exif=exif, quality=95)
-    decoded = compressed_to_rgb(compressed_to_msg(stream.getvalue(), "jpeg", 0, ""))
-    assert decoded.shape == smooth().shape
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8", bytes(500), b"GIF89a" + bytes(50), b"\x00" * 12 + b"\x89PNG"])

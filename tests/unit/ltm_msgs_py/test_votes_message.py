@@ -68,8 +68,6 @@ def test_fields_are_those_of_the_contract() -> None:
 
 def test_how_well_cells_are_seen_survives_to_the_wire_s_precision() -> None:
     back = msg_to_votes(message(), GRID, NAMES, "east")
-    assert back.confidence is not None
-    assert back.visibility is not None
     np.testing.assert_allclose(back.confidence, [1.0, 0.0, 0.5, 0.2], atol=0.5 / 255 + 1e-6)
     np.testing.assert_allclose(back.visibility.cos_incidence, [1.0, 0.0, 0.4, 0.6], atol=0.5 / 255 + 1e-6)
     # What the field does not hold, and what is not known, is the worst that it holds.

@@ -40,14 +40,21 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def answer(folder: Path, first: str = "") -> str:
-    """What a process prints that calls the kernel; it does `first`."""
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
-    paths = [str(folder), *filter(None, sys.path)]
-    code = f"{first}\nimport kernels\nfrom kernels.caller import caller; print(caller(1.0))"
+def hits(folder: Path, first: str = "", **variables: str) -> str:
+    """What a process prints that does `first` and calls the kernel: its result, how many kernels were loaded from the
+    cache, and the level they were compiled for."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | variables
+    environment["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
+    code = (
+        f"{first}\nimport kernels, numba; from kernels.caller import caller\n"
+        "print(caller(1.0), sum(caller.stats.cache_hits.values()), numba.config.CPU_NAME or '')"
+    )
     run = [sys.executable, "-c", code]
-    environment["PYTHONPATH"] = os.pathsep.join(paths)
-    return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout[:-1]
+
+
+def answer(folder: Path, first: str = "") -> str:
+    return hits(folder, first).split()[0]
 
 
 @pytest.mark.parametrize("first", ["", "import numba"])
@@ -101,7 +108,6 @@ def test_a_place_of_another_owner_is_not_taken(shared_tmp: tuple[Path, Path]) ->
     assert use_own_cache(source) is None
     os.chown(place, 0, 0)
     found = use_own_cache(source)
-    assert found is not None
     os.chown(found, 65_534, 65_534)
     assert use_own_cache(source) is None, "a folder of kernels that somebody left in ours"
 
@@ -142,19 +148,6 @@ def release(tmp_path: Path) -> Path:
     return built.parent.rename(tmp_path / "installed")
 
 
-def hits(folder: Path, **variables: str) -> str:
-    """Return the result of the kernel, how many were loaded from the cache, and the level they were compiled for."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | variables
-    environment["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, sys.path)])
-    code = (
-        "import kernels, numba; from kernels.caller import caller\n"
-        "print(caller(1.0), sum(caller.stats.cache_hits.values()), numba.config.CPU_NAME or '')"
-    )
-    return subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    ).stdout[:-1]
-
-
 def test_a_release_runs_its_kernels_where_it_is_installed(release: Path) -> None:
     assert hits(release) == "2.0 1 x86-64-v2"
     assert hits(release) == "2.0 1 x86-64-v2"
@@ -175,7 +168,6 @@ def test_a_copy_of_a_releases_kernels_is_ours_alone(tmp_path: Path) -> None:
 
 def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: Path) -> None:
     first = use_own_cache(tmp_path)
-    assert first is not None
     gone = first.with_name(first.name[:-4] + "gone")
     gone.symlink_to(tmp_path / "nothing")  # listed, but not there when it is looked at
     (tmp_path / "a.py").write_text("import numba  # edited")
@@ -185,7 +177,6 @@ def test_a_folder_that_another_process_deletes_just_now_does_no_harm(tmp_path: P
 def test_a_place_in_a_common_folder_is_made_for_us_alone(shared_tmp: tuple[Path, Path]) -> None:
     source, place = shared_tmp
     found = use_own_cache(source)
-    assert found is not None
     assert found.parent == place
     assert [folder.stat().st_mode & 0o777 for folder in (place, found)] == [0o700, 0o700]
     assert use_own_cache(source) == found

@@ -6,12 +6,12 @@ from scenes.rain_store import GRID, SCHEMA, changes, tile
 from scenes.small_disk import SmallDisk
 
 from ltm_core.base.errors import ConfigError, StoreError
+from ltm_core.storage import tile_store_file
 from ltm_core.storage.tile_store import TileStore
 from ltm_core.storage.tile_store_schema import FrameRecord, Tile, Touch
 
 
 def assert_same(found: Tile | None, expected: Tile) -> None:
-    assert found is not None
     assert found.keys() == expected.keys()
     for name, array in expected.items():
         np.testing.assert_array_equal(found[name], array)
@@ -88,9 +88,10 @@ def test_layer_as_of_any_date(tmp_path: Path) -> None:
             store.as_of("life", initial.T, 10)
 
 
-def test_oldest_stamps_are_forgotten_and_refused(tmp_path: Path) -> None:
+def test_oldest_stamps_are_forgotten_and_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By number, not by age: a camera whose clock was once ahead by years is neither refused nor counted twice."""
-    with TileStore.open(tmp_path / "map.ltm", SCHEMA, kept_frames=40) as store:
+    monkeypatch.setattr(tile_store_file, "KEPT_FRAMES", 40)
+    with TileStore.open(tmp_path / "map.ltm", SCHEMA) as store:
         store.commit(frames=[FrameRecord("north", 10**18), FrameRecord("east", 3)])
         for stamp in range(100):
             assert not store.counted("north", stamp)
@@ -105,7 +106,7 @@ def test_oldest_stamps_are_forgotten_and_refused(tmp_path: Path) -> None:
         assert store.sources() == {"north": 101, "east": 1}
 
 
-def test_a_flood_of_stamps_pushes_out_none_of_the_same_days(tmp_path: Path) -> None:
+def test_a_flood_of_stamps_pushes_out_none_of_the_same_days(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The attack: 21,050 stamps ten minutes ahead made a camera's true frames too old."""
     now, minute = 1_800_000_000 * 10**9, 60 * 10**9
     flood = [FrameRecord("north", now + 10 * minute + n) for n in range(21_050)]
@@ -113,7 +114,8 @@ def test_a_flood_of_stamps_pushes_out_none_of_the_same_days(tmp_path: Path) -> N
         store.commit(frames=flood)
         assert not store.counted("north", now)
         assert not store.counted("north", now - 24 * 60 * minute)
-    with TileStore.open(tmp_path / "bounded.ltm", SCHEMA, kept_frames=1000) as store:
+    monkeypatch.setattr(tile_store_file, "KEPT_FRAMES", 1000)
+    with TileStore.open(tmp_path / "bounded.ltm", SCHEMA) as store:
         for begin in range(0, 2000, 100):
             store.commit(frames=flood[begin : begin + 100])
         known = [frame.stamp_ns for frame in flood[:2000] if not store.forgotten("north", frame.stamp_ns)]

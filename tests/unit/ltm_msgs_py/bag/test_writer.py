@@ -52,7 +52,6 @@ def test_the_layout_is_rosbag2s(tmp_path: Path) -> None:
     assert record.name == "rosbag2"
     assert yaml.safe_load(record.metadata["serialized_metadata"]) == info
     schema, channel, message = messages[1]
-    assert schema is not None
     assert (schema.name, schema.encoding, channel.message_encoding) == ("std_msgs/msg/String", "ros2msg", "cdr")
     assert (message.log_time, message.publish_time, message.sequence) == (9_000, 8_000, 0)
     (qos,) = yaml.safe_load(messages[0][1].metadata["offered_qos_profiles"])
@@ -121,7 +120,7 @@ def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_anoth
 ) -> None:
     if not readable:
         monkeypatch.setattr(McapIndex, "open", lambda path: BagReader(path / "absent"))
-    writer = BagWriter(tmp_path / "bag", compression=None, chunk_size=25_000)
+    writer = BagWriter(tmp_path / "bag", compression=CompressionType.NONE, chunk_size=25_000)
     writer.write("/a", String(data="0" * 10_000), 0)
     writer.flush()
     (bag,) = (tmp_path / "bag").glob("*.mcap")
@@ -146,7 +145,7 @@ def test_a_disk_that_fails_ends_the_file_whole_and_the_next_message_begins_anoth
 
 def test_a_bag_of_several_files(tmp_path: Path) -> None:
     split = Split(most_bytes=9_000, longest_ns=1_000)
-    with BagWriter(tmp_path / "bag", compression=None, chunk_size=2_000, split=split) as writer:
+    with BagWriter(tmp_path / "bag", compression=CompressionType.NONE, chunk_size=2_000, split=split) as writer:
         writer.add_topic("/info", "std_msgs/msg/String", latched=True)
         writer.write("/info", String(data="palette"), 0)
         for i in range(9):
@@ -213,7 +212,6 @@ def test_a_repair_keeps_the_chunks_after_a_corrupt_one(tmp_path: Path, compressi
     assert [m.log_time_ns for m in BagReader(tmp_path, allow_damaged=False).messages()] == [0, 1, 2, 3, 5, 6, 7, 8]
     with (tmp_path / "a.mcap").open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
-    assert summary is not None
     for chunk in summary.chunk_indexes:  # its own index, not that of the corrupt chunk after it
         assert list(chunk.message_index_offsets.values()) == [chunk.chunk_start_offset + chunk.chunk_length]
     whole = (tmp_path / "a.mcap").read_bytes()

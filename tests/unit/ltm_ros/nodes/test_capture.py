@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scenes.outlets import Kept
 from scenes.rasters import rough_terrain
-from scenes.transforms import transform_to_msg
+from scenes.transforms import LINK_OPTICAL, transform_to_msg
 
 from ltm_core.base.errors import CameraError, ImageError, PoseError
 from ltm_core.geometry.camera import Camera
@@ -20,12 +20,7 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_msgs_py.bag.cdr import Transforms
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb, image_to_msg, msg_to_rgb
-from ltm_msgs_py.pose import (
-    LINK_OPTICAL,
-    msg_to_pose,
-    msg_to_transform,
-    pose_to_msg,
-)
+from ltm_msgs_py.pose import msg_to_pose, msg_to_transform, pose_to_msg
 from ltm_msgs_py.sensors import camera_to_msg, msg_to_camera
 from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.nodes.capture import CaptureConfig, CaptureHandler

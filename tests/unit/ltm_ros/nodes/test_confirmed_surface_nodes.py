@@ -12,7 +12,7 @@ from ltm_core.base.errors import MessageError, StoreError
 from ltm_core.raster.dem import Dem
 from ltm_core.surface.surface_versions_io import FOLDER, MANIFEST, SurfaceVersions
 from ltm_core.tracing import TerrainTracer
-from ltm_msgs_py.cells import msg_to_traced, msg_to_version
+from ltm_msgs_py.cells import msg_to_version
 from ltm_msgs_py.image import msg_to_depth
 from ltm_msgs_py.pose import msg_to_pose
 from ltm_msgs_py.sensors import msg_to_camera
@@ -85,7 +85,7 @@ class Chain:
     @property
     def versions(self) -> list[str]:
         """To which each frame was traced."""
-        return [msg_to_traced(message)[1] for message in self.traced.on(DEPTH_INFO)]
+        return [msg_to_version(message) for message in self.traced.on(DEPTH_INFO)]
 
     def error(self, truth: Dem) -> float:
         """Median, metres, of the last frame over what has changed."""

@@ -4,7 +4,6 @@ import subprocess
 import sys
 from array import array
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from scenes.fuel_map_node import Node, state
 from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.votes import CellVotes
-from ltm_core.storage.tile_store import TileStore
+from ltm_core.storage import tile_store_file
 from ltm_msgs_py.pointcloud import votes_to_msg
 from ltm_ros.runtime.topics import FUEL_MAP_ANSWER
 
@@ -39,7 +38,7 @@ def kept(site: Path, tmp_path: Path) -> Callable[..., Node]:
 
 
 def test_clocks_that_jump(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10))
+    monkeypatch.setattr(tile_store_file, "KEPT_FRAMES", 10)
     now, day = BEGIN_NS + 10**15, 86_400 * 10**9
     node = Node(site, now=now)
 
@@ -64,7 +63,7 @@ def test_clocks_that_jump(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_empty_votes_push_out_no_frame(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The attack: more votes that say nothing than a store remembers, each stamped as far ahead as may be."""
-    monkeypatch.setattr(TileStore, "in_memory", partial(TileStore.in_memory, kept_frames=10))
+    monkeypatch.setattr(tile_store_file, "KEPT_FRAMES", 10)
     now = BEGIN_NS + 10**15
     node = Node(site, now=now)
     grid = node.map.geometry

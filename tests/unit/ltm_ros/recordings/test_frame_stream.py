@@ -35,7 +35,7 @@ def test_late_and_lost_messages(tmp_path: Path) -> None:
         write(bag, "north", "labels", 4 * SECOND, 6 * SECOND, 4)  # its depth was lost
         write(bag, "east", "depth", 3 * SECOND, 7 * SECOND, 33)
         write(bag, "north", "labels", 3 * SECOND, 8 * SECOND, 3)  # late
-    stream = FrameStream(tmp_path / "bag", RIDGE, ["north", "east"], PARTS)
+    stream = FrameStream(tmp_path / "bag", RIDGE, PARTS, ["north", "east"])
     whole = list(stream.frames(["depth", "labels"]))
     assert [(f.camera_name, f.stamp_ns // SECOND) for f in whole] == [("east", 3), ("north", 3), ("north", 5)]
     for frame in whole:
@@ -56,7 +56,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
                 bag.write("/ridge/north/depth/image", depth_to_msg(depth, second * SECOND, "c"), second * SECOND)
                 write(bag, "north", "labels", second * SECOND, second * SECOND + 1, second % 7, 300)
         tracemalloc.start()
-        stream = FrameStream(path, RIDGE, ["north"], PARTS)
+        stream = FrameStream(path, RIDGE, PARTS, ["north"])
         assert sum(float(f.take("depth")[0, 0]) >= 0 for f in stream.frames(["depth", "labels"])) == frames
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()

@@ -63,7 +63,6 @@ def test_server_ends_when_its_process_is_killed(ports: tuple[int, int]) -> None:
         [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[4]
     )
     try:
-        assert owner.stdout is not None
         assert owner.stdout.readline() == "up\n"
         assert listens(grpc)
     finally:

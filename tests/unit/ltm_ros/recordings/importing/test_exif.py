@@ -5,7 +5,6 @@ import pytest
 from PIL.Image import Exif
 from PIL.TiffImagePlugin import IFDRational
 
-from ltm_core.base.errors import ImageError
 from ltm_ros.recordings.importing.exif import ExifFacts, exif_facts, xmp_values
 
 PHOTO, GPS = 0x8769, 0x8825
@@ -120,14 +119,6 @@ def test_altitude_references(version: bytes, reference: Any, altitude: float, ab
 @pytest.mark.parametrize(("value", "known"), [(360.0, 0.0), (359.99, 359.99), (655.35, None)])
 def test_directions(value: float, known: float | None) -> None:
     assert facts(gps={16: "M", 17: value}).sensed.azimuth_deg == known
-
-
-@pytest.mark.parametrize(
-    "gps", [{1: "N", 2: (91, 0, 0), 3: "E", 4: (0, 0, 0)}, {1: "N", 2: (1, 0, 0), 3: "E", 4: (181, 0, 0)}]
-)
-def test_a_position_off_the_globe_is_refused(gps: dict[int, Any]) -> None:
-    with pytest.raises(ImageError, match=r"a\.jpg: invalid EXIF position"):
-        facts(gps=gps)
 
 
 NORTH_WEST = {1: "N", 2: (34.5, 0, 0), 3: "W", 4: (118.25, 0, 0)}

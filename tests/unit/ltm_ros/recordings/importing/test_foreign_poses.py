@@ -44,7 +44,6 @@ def points() -> Float64Array:
 
 def pixels_of(foreign: ForeignPose, lens: Camera | None = None) -> Float64Array:
     camera = lens or foreign.camera
-    assert camera is not None
     pose = foreign.pose(FRAME, lambda x, y: 0.0, 0.0)
     return camera.project((points() - (FRAME.x_origin, FRAME.y_origin, 0) - pose.position) @ pose.rotation)
 
@@ -128,7 +127,6 @@ def test_opensfm(tmp_path: Path) -> None:
     (tmp_path / "reference_lla.json").write_text(json.dumps({"latitude": lat, "longitude": lon, "altitude": 1200.0}))
     content = json.dumps([{"cameras": {"v2 sony": camera}, "shots": {"02.jpg": shot}, "points": {}}])
     pose = read_one(tmp_path / "reconstruction.json", content, "OpenSfM")
-    assert pose.camera is not None
     assert np.allclose(np.array([pose.camera.fx, pose.camera.cx, pose.camera.cy]), (1500.0, 805.0, 590.0))
     placed = pose.pose(FRAME, lambda x, y: 0.0, 0.0)
     assert np.allclose(placed.position, AT - (FRAME.x_origin, FRAME.y_origin, 0), atol=1e-2)

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from scenes.phone_site import GROUND, picture
+from scenes.phone_site import GROUND, imported, picture
 from typer.testing import CliRunner
-from unit.ltm_ros.recordings.importing.test_photos import LEVEL, contents, phone, save, site
+from unit.ltm_ros.recordings.importing.test_photos import LEVEL, images_of, phone, save, site
 
 from ltm_core.site.site import Site
 from ltm_core.storage.image_io import decode_rgb
@@ -60,7 +60,7 @@ def test_photos_of_one_name_stay_apart(tmp_path: Path, site: Site) -> None:
     folder = phone_folder(tmp_path / "photos")
     (tmp_path / "poses.csv").write_text("name,z\n100APPLE/IMG_0002.JPG,1790\n101APPLE/IMG_0002,1800\nIMG_0001,1810\n")
     import_photos([folder], tmp_path / "bag", tmp_path / "poses.csv", site, assumed=LEVEL)
-    assert [pose.position[2] for _, _, pose, _ in contents(tmp_path / "bag")] == [1810.0, 1790.0, 1800.0]
+    assert [pose.position[2] for _, _, pose, _ in imported(tmp_path / "bag")] == [1810.0, 1790.0, 1800.0]
 
 
 def test_a_motion_photos_video_is_cut_off(tmp_path: Path, site: Site) -> None:
@@ -68,14 +68,14 @@ def test_a_motion_photos_video_is_cut_off(tmp_path: Path, site: Site) -> None:
     photo = path.read_bytes()
     path.write_bytes(photo + VIDEO)
     import_photos([path], tmp_path / "bag", site=site, assumed=LEVEL)
-    ((_, _, _, image),) = contents(tmp_path / "bag")
+    (image,) = images_of(tmp_path / "bag")
     assert bytes(image.data) == photo
 
 
 @pytest.mark.parametrize("name", ["a.webp", "a.TIF", "a.avif", "a.heic"])
 def test_other_formats_are_imported_as_jpeg(tmp_path: Path, site: Site, name: str) -> None:
     report = import_photos([save(tmp_path / name, phone())], tmp_path / "bag", site=site, assumed=LEVEL)
-    ((_, camera, pose, image),) = contents(tmp_path / "bag")
+    ((_, camera, pose, _),), (image,) = imported(tmp_path / "bag"), images_of(tmp_path / "bag")
     assert (report.cameras, image.format, camera.width) == ({"phone": 1}, "jpeg", picture().shape[1])
     assert pose.position[2] == pytest.approx(GROUND + 12.0)
     assert np.abs(compressed_to_rgb(image).astype(int) - picture()).mean() < 8

@@ -50,7 +50,6 @@ def changed(path: Path, changes: dict[str, str | bytes | None], name: str = "cha
                 new.writestr(member, data)
         for member in changes.keys() - set(old.namelist()):
             data = changes[member]
-            assert data is not None
             new.writestr(member, data)
     return path.parent / name
 
