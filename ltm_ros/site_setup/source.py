@@ -3,7 +3,7 @@
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +18,6 @@ from ltm_ros.site_setup.request import (
     Bounds,
     Fetched,
     FetchError,
-    Kind,
     NoCoverageError,
     Part,
     Plan,
@@ -56,11 +55,6 @@ class Source:
         self.name, self.config, self.web = name, config, web
         self.kinds, self.address, self.licence = config.kinds, config.address, config.licence
         self.resolution_m, self.vertical_crs, self.year = config.resolution_m, config.vertical_crs, config.year
-        self.passed_over: tuple[str, ...] = ()
-        """Preferred sources that were not used, each with its reason."""
-        self.next_source: Callable[[str], Source] | None = None
-        """Chooses the next source, given the reason why this one has no data."""
-        self._plans: dict[Area, Plan] = {}
 
     @property
     def key(self) -> str:
@@ -71,15 +65,13 @@ class Source:
         """Return what would be fetched, with sizes. May query the service.
 
         Raises NoCoverageError if the source cannot be used for the area, FetchError if the service fails."""
-        if area not in self._plans:
-            self._check(area)
-            self._plans[area] = self._planned(area)
-        plan = self._plans[area]
-        notes = [*self.passed_over, *plan.notes]
+        self._check(area)
+        plan = self._planned(area)
         age = 0 if plan.year is None else datetime.now(UTC).year - plan.year
-        if Kind.FUEL in self.kinds and age > _OLD_YEARS:
-            notes.append(f"{self.name}: the fuel map shows {plan.year}, {age} years ago; fires since then are missing")
-        return replace(plan, notes=tuple(notes))
+        if "fuel" not in self.kinds or age <= _OLD_YEARS:
+            return plan
+        old = f"{self.name}: the fuel map shows {plan.year}, {age} years ago; fires since then are missing"
+        return replace(plan, notes=(*plan.notes, old))
 
     def _check(self, area: Area) -> None:
         """Raise NoCoverageError if the configuration excludes an area, or a key is missing."""
@@ -103,17 +95,7 @@ class Source:
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         """Fetch a plan into `folder`; files appear there whole or not at all.
 
-        If every cell turns out to be unknown, as beyond a border, the data come from the next source (`Fetched` names
-        it). Raises NoCoverageError, FetchError."""
-        try:
-            return self._fetch(plan, folder, progress)
-        except NoCoverageError as error:
-            if self.next_source is None:
-                raise
-            other = self.next_source(str(error))
-            return other.fetch(other.plan(plan.area), folder, progress)
-
-    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
+        Raises NoCoverageError if every cell turns out to be unknown, as beyond a border; FetchError."""
         self.web.make_cache()
         tags = {"SOURCE": self.name, "LICENCE": self.licence}
         files, used = fetch_parts(plan.parts, folder, self.web, progress, self.config.nodata, tags)
@@ -246,9 +228,9 @@ class UrlSource(Source):
         part = Part(remote.url, _file_name(self.address), remote.size, remote)
         return Plan(area, (part,), (), self.year)
 
-    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
+    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         if not self.config.sha256:
-            return super()._fetch(plan, folder, progress)
+            return super().fetch(plan, folder, progress)
         (part,) = plan.parts
         path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
         return self._fetched(plan, [put_into(folder, path, part.name)], [part])

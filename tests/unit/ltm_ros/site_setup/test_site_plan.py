@@ -3,7 +3,7 @@
 import errno
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def write_plane(path: Path, area: Area, step: float, values: Callable[[Any, Any]
 class Maker:
     """A source that has every kind of raster, everywhere."""
 
-    licence, address, vertical_crs, passed_over = "public domain", "http://127.0.0.1/", "EPSG:3855", ()
+    licence, address, vertical_crs = "public domain", "http://127.0.0.1/", "EPSG:3855"
 
     def __init__(self, name: str, kinds: Sequence[Kind], resolution_m: float, year: int = 2024) -> None:
         self.name, self.kinds, self.resolution_m, self.year = name, kinds, resolution_m, year
@@ -68,7 +68,7 @@ class Maker:
         if self.error is not None:
             (folder / "half.tif").write_bytes(b"II*")
             raise self.error
-        fuel = Kind.FUEL in self.kinds
+        fuel = "fuel" in self.kinds
         step = self.resolution_m / 111_320
         values = (lambda lon, lat: np.full(lon.shape, 102)) if fuel else elevation
         name = "LC24_F40.tif" if fuel else "a.tif"
@@ -80,9 +80,9 @@ class Maker:
 @pytest.fixture
 def makers() -> list[Any]:
     return [
-        Maker("fine", [Kind.ELEVATION], 30.0),
-        Maker("coarse", [Kind.COARSE_ELEVATION], 200.0),
-        Maker("fuels", [Kind.FUEL], 30.0, 2022),
+        Maker("fine", ["dem"], 30.0),
+        Maker("coarse", ["coarser"], 200.0),
+        Maker("fuels", ["fuel"], 30.0, 2022),
     ]
 
 
@@ -257,9 +257,9 @@ def test_an_update_adds_a_raster_and_keeps_the_rest(key: str, makers: list[Any],
     before = {file: file.read_bytes() for file in out.rglob("*.tif")}
     text = (out / "site.yaml").read_text() + "model: landscape_v4  # mine\n"
     (out / "site.yaml").write_text(text)
-    newer = Maker("newer", list(Kind), 30.0, 2025)
+    newer = Maker("newer", get_args(Kind), 30.0, 2025)
     if key == "fuel":
-        newer.kinds = [Kind.FUEL]
+        newer.kinds = ["fuel"]
     change = Wish(out, update=key, cameras=[parse_camera("south=-118.471,34.085,height=9,azimuth=3,hfov=60")])
     made(change, [newer])
     site = load_site(out / "site.yaml")

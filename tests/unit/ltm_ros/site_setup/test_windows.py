@@ -99,11 +99,11 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
     quarter = {"usgs_3dep_10m": {"resolution_m": 41.2}, "copernicus_glo30": {"resolution_m": 123.6}}
     listed = sources(services, tmp_path, **quarter)
     used = expected = 0.0
-    for kind, area in ((Kind.ELEVATION, near), (Kind.COARSE_ELEVATION, wide), (Kind.FUEL, near)):
-        source = choose(kind, area, listed)
-        plan = source.plan(area)
-        expected += plan.expected_bytes
-        for path in source.fetch(plan, tmp_path / kind).files:
+    cases: list[tuple[Kind, Area]] = [("dem", near), ("coarser", wide), ("fuel", near)]
+    for kind, area in cases:
+        choice = choose(kind, area, listed)
+        expected += choice.plan.expected_bytes
+        for path in choice.fetch(tmp_path / kind).files:
             _, about = opened(path)
             west, south, east, north = about.bounds
             lon, lat = transform(about.crs, "EPSG:4326", [west, east], [south, north])
@@ -140,10 +140,9 @@ def test_a_source_that_covers_part_of_an_area_is_passed_over_with_its_share(
     services.add_product("x1y1.tif", half, "2020")
     for file, left in zip(TILES["copernicus_glo30"][0], (-119, -118), strict=True):
         add_degree_tile(services, file, left, 35, 0, -0.5)
-    source = choose(Kind.ELEVATION, AREA, sources(services, tmp_path))
-    assert source.name == "copernicus_glo30"
-    notes = source.plan(AREA).notes
-    assert [note.split()[0] for note in notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
+    choice = choose("dem", AREA, sources(services, tmp_path))
+    assert choice.source.name == "copernicus_glo30"
+    assert [note.split()[0] for note in choice.plan.notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
 
 
 def test_items_of_a_catalogue_of_several_pages_are_fetched(services: SiteServices, tmp_path: Path) -> None:
@@ -246,13 +245,12 @@ def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
     services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
     area = area_around(-118.5, 34.5, 8000.0)
     listed = sources(services, tmp_path)
-    source = choose(Kind.ELEVATION, area, listed)
     with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
-        source.fetch(source.plan(area), tmp_path / "out")
+        choose("dem", area, listed).fetch(tmp_path / "out")
     add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
-    source = choose(Kind.ELEVATION, area, sources(services, tmp_path))
-    fetched = source.fetch(source.plan(area), tmp_path / "out")
-    assert (source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
+    choice = choose("dem", area, sources(services, tmp_path))
+    fetched = choice.fetch(tmp_path / "out")
+    assert (choice.source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
     assert fetched.vertical_crs == "EPSG:3855"
 
 
