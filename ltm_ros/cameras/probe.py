@@ -203,20 +203,16 @@ def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
 SNAPSHOT_EVERY_S = 10.0
 
 
-@dataclass(frozen=True)
-class Placing:
-    """What a camera cannot report itself."""
-
-    lon: float | None = None
-    lat: float | None = None
-    height_above_ground: float | None = None
-    azimuth_deg: float | None = None
-    pitch_deg: float = 0.0
-    hfov_deg: float | None = None
-
-
-def site_entry(found: Found, user: str | None, password: SecretConfig | None, placing: Placing) -> dict[str, Any]:
-    """Return the sections source, ptz, mount or pose, and calibration, as far as known."""
+def site_entry(
+    found: Found,
+    user: str | None,
+    password: SecretConfig | None,
+    place: dict[str, float | None],
+    pitch_deg: float,
+    hfov_deg: float | None,
+) -> dict[str, Any]:
+    """Return the sections source, ptz, mount or pose, and calibration, as far as known. `place`: the position's keys
+    and azimuth_deg."""
     entry: dict[str, Any] = {}
     if found.source is not None:
         entry["source"] = dict(found.source)
@@ -226,21 +222,19 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
             entry["source"]["user"] = user
         if password is not None:
             entry["source"]["password"] = password.model_dump(mode="json", exclude_none=True)
-    known = placing.lon is not None and placing.height_above_ground is not None and placing.azimuth_deg is not None
-    names = ("lon", "lat", "height_above_ground", "azimuth_deg") if known else ()
-    where: dict[str, Any] = {name: getattr(placing, name) for name in names}
+    where: dict[str, Any] = {} if None in place.values() else dict(place)
     size = {} if found.size is None else dict(zip(("width", "height"), found.size, strict=True))
     if found.ptz is not None:
         entry["ptz"], kind = dict(found.ptz[0]), found.ptz[0]["kind"]
         if size:
             entry["mount"] = where | ({"tilt_sign": -1} if kind == "isapi" else {})
-            if kind == "vapix" and placing.hfov_deg is None:
+            if kind == "vapix" and hfov_deg is None:
                 # The lens table of ALERTCalifornia's Axis cameras, until this lens is calibrated.
                 entry["mount"]["lens"] = size
     elif where:
-        entry["pose"] = where | {"pitch_deg": placing.pitch_deg}
-    if size and placing.hfov_deg is not None:
-        entry["calibration"] = size | {"hfov_deg": placing.hfov_deg}
+        entry["pose"] = where | {"pitch_deg": pitch_deg}
+    if size and hfov_deg is not None:
+        entry["calibration"] = size | {"hfov_deg": hfov_deg}
     return entry
 
 

@@ -19,7 +19,6 @@ from ltm_ros.cli.output import numbers, print_table, progress_bar, say, warn, wo
 from ltm_ros.site_setup.camera_list import CameraValues, parse_camera, read_cameras
 from ltm_ros.site_setup.request import Kind
 from ltm_ros.site_setup.site_plan import SitePlan, Wish, carry_out, plan_site
-from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import load_sources
 
 _ASK_FROM = 500_000_000
@@ -49,7 +48,12 @@ def init(
     """Make a site: fetch terrain and fuel, write rasters, site.yaml and a check picture. Or add to an existing one."""
     known = load_sources(Path(sources) if sources not in (None, "list") else None)
     if sources == "list":
-        _print_sources(known)
+        rows = [
+            (s.name, ", ".join(s.kinds), f"{s.resolution_m:g} m", s.vertical_crs or "", s.licence, s.address)
+            for s in known
+        ]
+        columns = ("name", "delivers", "cells", "heights", "licence", "address")
+        print_table("sources, preferred ones first", columns, rows)
         return
     if out is None:
         raise ConfigError("give the folder of the site with --out")
@@ -122,14 +126,6 @@ def _cameras(
         if len(near) < len(found):
             remarks.append(f"{listed.name}: {len(near)} of {len(found)} cameras are within the radius")
     return cameras + near, remarks
-
-
-def _print_sources(sources: list[Source]) -> None:
-    rows = []
-    for s in sources:
-        cells = f"{s.resolution_m:g} m"
-        rows.append((s.name, ", ".join(s.kinds), cells, s.vertical_crs or "", s.licence, s.address))
-    print_table("sources, preferred ones first", ("name", "delivers", "cells", "heights", "licence", "address"), rows)
 
 
 def _print_plan(site: SitePlan) -> None:

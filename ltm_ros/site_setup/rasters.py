@@ -22,6 +22,7 @@ from ltm_core.raster.dem import Bounds, StoredHeights
 from ltm_core.raster.heights_check import unit_of
 from ltm_core.raster.raster_io import open_raster
 from ltm_core.storage.disk_io import is_folder
+from ltm_ros.site_setup.request import METRES_PER_DEGREE
 from ltm_ros.site_setup.vertical import Datum, MissingGridError, correction, datum_of
 
 _SUFFIXES = (".tif", ".tiff", ".img", ".asc", ".hgt", ".vrt", ".bil", ".dem", ".dt1", ".dt2", ".nc", ".jp2")
@@ -32,7 +33,6 @@ _SIZES = (0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0, 90.0)
 """Cell sizes in metres of a site's rasters."""
 MOST_CELLS = 190_000_000
 """Maximum number of cells of an area that are fetched or joined: 17.3 km per side at 1 m."""
-_DEGREE = 111_320.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Tile:
         """Return the mean cell size in metres."""
         if self.crs.is_geographic:
             along = math.cos(math.radians(self.north - self.height * self.dy / 2))
-            return _DEGREE * math.sqrt(self.dx * self.dy * along)
+            return METRES_PER_DEGREE * math.sqrt(self.dx * self.dy * along)
         return math.sqrt(self.dx * self.dy) * float(self.crs.axis_info[0].unit_conversion_factor)
 
     def fits(self, other: "Tile") -> bool:
@@ -142,29 +142,19 @@ def grid_over(bounds: Bounds, resolution: float, tiles: Sequence[Tile], crs: str
     return GridGeometry(x + left * resolution, y + up * resolution, resolution, right - left, up - down, crs)
 
 
-@dataclass(frozen=True)
-class Resampled:
-    """Heights on a site's grid, (H, W) metres, NaN where unknown, and remarks for the user."""
-
-    heights: Float32Array
-    remarks: tuple[str, ...]
-
-    @property
-    def known(self) -> float:
-        """Return the share of cells whose height is known."""
-        return float(np.isfinite(self.heights).mean())
-
-    @property
-    def error(self) -> float:
-        """Return the standard error of the interpolation in metres: a quarter of the second differences, which is what
-        bilinear heights between cell centres are off on ground of the same roughness."""
-        bend = self.heights[:, 1:-1] - (self.heights[:, :-2] + self.heights[:, 2:]) / 2
-        bend = bend[np.isfinite(bend)]
-        return float(np.sqrt(np.mean(np.square(bend, dtype=np.float64)))) / 4 if bend.size else math.nan
+def interpolation_error(heights: Float32Array) -> float:
+    """Return the standard error of interpolated heights in metres: a quarter of the second differences, which is what
+    bilinear heights between cell centres are off on ground of the same roughness."""
+    bend = heights[:, 1:-1] - (heights[:, :-2] + heights[:, 2:]) / 2
+    bend = bend[np.isfinite(bend)]
+    return float(np.sqrt(np.mean(np.square(bend, dtype=np.float64)))) / 4 if bend.size else math.nan
 
 
-def resample(tiles: Sequence[Tile], grid: GridGeometry, datum: Datum | None, elevation: bool = True) -> Resampled:
-    """Return the heights of tiles on a grid, in the vertical datum of the site; where tiles overlap, of the first one.
+def resample(
+    tiles: Sequence[Tile], grid: GridGeometry, datum: Datum | None, elevation: bool = True
+) -> tuple[Float32Array, tuple[str, ...]]:
+    """Return the heights of tiles on a grid, in the vertical datum of the site, NaN where unknown; and remarks for the
+    user. Where tiles overlap, the first one counts.
 
     `elevation`: whether the values are elevations; else heights above the ground. Raises RasterError: values that are
     no heights, too many cells, or ellipsoidal heights that PROJ has no grid for."""
@@ -183,17 +173,15 @@ def resample(tiles: Sequence[Tile], grid: GridGeometry, datum: Datum | None, ele
                     part[rows, cols] = found + lift
     if not np.isfinite(result).any():
         raise RasterError(f"{tiles[0].path}: has no height at the site: every cell is nodata there")
-    return Resampled(result, tuple(dict.fromkeys(remarks)))
+    return result, tuple(dict.fromkeys(remarks))
 
 
 def _groups(tiles: Sequence[Tile]) -> list[list[Tile]]:
     groups: list[list[Tile]] = []
     for tile in tiles:
-        group = next((group for group in groups if group[0].fits(tile)), None)
-        if group is None:
-            groups.append([tile])
-        else:
-            group.append(tile)
+        if (group := next((group for group in groups if group[0].fits(tile)), None)) is None:
+            groups.append(group := [])
+        group.append(tile)
     return groups
 
 
@@ -215,10 +203,8 @@ def _joined(group: list[Tile], grid: GridGeometry, elevation: bool, remarks: lis
         )
     total, count = np.zeros((rows, cols), np.float32), np.zeros((rows, cols), np.float32)
     for tile in group:
-        top, left = (
-            round((first.north - tile.north) / first.dy) - row0,
-            round((tile.west - first.west) / first.dx) - col0,
-        )
+        top = round((first.north - tile.north) / first.dy) - row0
+        left = round((tile.west - first.west) / first.dx) - col0
         r0, r1 = max(0, top), min(rows * step, top + tile.height)
         c0, c1 = max(0, left), min(cols * step, left + tile.width)
         if r0 >= r1 or c0 >= c1:

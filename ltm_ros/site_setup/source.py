@@ -143,7 +143,11 @@ class TileSource(Source):
         if self.config.quadkey_zoom:
             zoom = self.config.quadkey_zoom
             (left, top), (right, bottom) = _web_tile(west, north, zoom), _web_tile(east, south, zoom)
-            names = [{"quadkey": _quadkey(x, y, zoom)} for y in range(top, bottom + 1) for x in range(left, right + 1)]
+            names = [
+                {"quadkey": "".join(str((x >> bit & 1) + 2 * (y >> bit & 1)) for bit in reversed(range(zoom)))}
+                for y in range(top, bottom + 1)
+                for x in range(left, right + 1)
+            ]
         else:
             step = self.config.tile_degrees
             names = [
@@ -268,10 +272,6 @@ def _web_tile(lon: float, lat: float, zoom: int) -> tuple[int, int]:
     sine = math.sin(math.radians(max(-85.05, min(lat, 85.05))))
     x, y = (lon + 180) / 360, 0.5 - math.log((1 + sine) / (1 - sine)) / (4 * math.pi)
     return min(int(x * across), across - 1), min(int(y * across), across - 1)
-
-
-def _quadkey(x: int, y: int, zoom: int) -> str:
-    return "".join(str((x >> bit & 1) + 2 * (y >> bit & 1)) for bit in reversed(range(zoom)))
 
 
 def _joined(area: Area) -> str:

@@ -80,13 +80,12 @@ class HttpClient:
         self,
         url: str,
         headers: Mapping[str, str] | None = None,
-        method: str = "GET",
-        body: bytes | None = None,
+        post: bytes | None = None,
         accepted: Collection[int] = TAKEN,
     ) -> HttpResponse:
-        """Return the whole answer. `accepted`: statuses that are no errors. Raises SourceError, UnauthorisedError,
-        PictureError if it is too large."""
-        with self.stream(url, headers, method, body, accepted) as (response, asked, arrived):
+        """Return the whole answer to a GET, or to a POST of `post`. `accepted`: statuses that are no errors. Raises
+        SourceError, UnauthorisedError, PictureError if it is too large."""
+        with self.stream(url, headers, post, accepted) as (response, asked, arrived):
             if response.headers.get("content-type", "").lower().startswith("multipart/x-mixed-replace"):
                 raise SourceError("the camera answered with a stream of images: set kind: mjpeg")
             whole = bytearray()
@@ -109,8 +108,7 @@ class HttpClient:
         self,
         url: str,
         headers: Mapping[str, str] | None = None,
-        method: str = "GET",
-        body: bytes | None = None,
+        post: bytes | None = None,
         accepted: Collection[int] = TAKEN,
     ) -> Iterator[tuple[httpx.Response, float, float]]:
         """Yield an answer whose body is still to come, with the times of the request and of its header. Raises as
@@ -120,8 +118,8 @@ class HttpClient:
         # The time of the last request after a challenge counts: its answer holds the image.
         self._client.event_hooks = {"request": [lambda _: asked.append(time.monotonic())], "response": []}
         with self.in_time():
-            request = self._client.stream(method, url, headers=dict(headers or {}), content=body)
-            with request as response:
+            method = "GET" if post is None else "POST"
+            with self._client.stream(method, url, headers=dict(headers or {}), content=post) as response:
                 arrived = time.monotonic()
                 self._check(response, accepted)
                 yield response, asked[-1], arrived
@@ -141,7 +139,10 @@ class HttpClient:
                     what = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
                     said = f"the camera does not respond: no {what} in time"
                 case httpx.ConnectError():
-                    said = f"no connection: {why}{_remedy(str(error))}"
+                    remedies = (
+                        remedy for text, remedy in _REMEDIES.items() if re.search(text, str(error), re.IGNORECASE)
+                    )
+                    said = f"no connection: {why}{next(remedies, '')}"
                 case httpx.InvalidURL() | UnicodeError():
                     said = f"the url is invalid: {why}"
                 case _:
@@ -190,10 +191,6 @@ _REMEDIES = {
     r"wrong_version_number": "the port does not speak https; use http://, or another port",
 }
 """What to do about an error of TLS, by its text."""
-
-
-def _remedy(why: str) -> str:
-    return next((f": {remedy}" for text, remedy in _REMEDIES.items() if re.search(text, why, re.IGNORECASE)), "")
 
 
 def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:

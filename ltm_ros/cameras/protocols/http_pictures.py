@@ -158,7 +158,8 @@ class PartSplitter:
             blank = _BLANK.search(buffer, start - 1)
             if blank is None:
                 return None
-            head, start = _head(bytes(buffer[start : blank.start()])), blank.end()
+            lines = (str(line, "latin-1").partition(":") for line in buffer[start : blank.start()].splitlines())
+            head, start = {name.strip().lower(): value.strip() for name, _, value in lines}, blank.end()
         length = int(stated_number(head.get("content-length")) or 0)
         if length > self._most_bytes:
             raise SourceError(f"an image of {length} bytes is announced; the maximum is {self._most_bytes}")
@@ -212,8 +213,3 @@ def _declared_boundary(response: httpx.Response) -> bytes:
         raise SourceError(f"the camera answered {page or kind[:60] or 'no type'}, not a stream of JPEGs; {remedy}")
     found = re.search(r'(?i)boundary\s*=\s*(?:"([^"]*)"|([^;]*))', kind)
     return (found[1] or found[2] or "").strip().encode() if found else b""
-
-
-def _head(data: bytes) -> dict[str, str]:
-    lines = (line.partition(b":") for line in data.splitlines())
-    return {name.decode("latin-1").strip().lower(): value.decode("latin-1").strip() for name, _, value in lines}

@@ -8,8 +8,7 @@ from urllib.parse import SplitResult, urlsplit, urlunsplit
 
 from ltm_core.site.source_config import HttpSettings, NetworkSettings, PtzConfig, PtzSettings, SourceConfig
 from ltm_ros.cameras.protocols.credentials import SourceError
-from ltm_ros.cameras.protocols.http_client import HttpClient
-from ltm_ros.cameras.protocols.picture import PtzHead, PtzReading, Tolerance
+from ltm_ros.cameras.protocols.picture import PtzHead, PtzReading, Tolerance, stated_number
 
 _REST = {
     "vapix": Tolerance(0.05, 1.0),
@@ -61,11 +60,6 @@ MOST_BYTES = 512 << 10
 """Maximum bytes of an answer."""
 
 _DTD = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
-
-
-def client_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpClient:
-    """Return the connection to a PTZ head. Raises SourceError, UnauthorisedError."""
-    return HttpClient(settings_of(ptz, source), most_bytes=MOST_BYTES)
 
 
 def settings_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpSettings:
@@ -141,10 +135,7 @@ def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
 
 def number(text: str | None, what: str) -> float:
     """Parse a number. Raises SourceError."""
-    try:
-        value = float((text or "").strip())
-    except ValueError:
-        value = float("nan")
-    if not -1e9 < value < 1e9:
+    value = stated_number(text)
+    if value is None or not -1e9 < value < 1e9:
         raise SourceError(f"the PTZ head reports {text!r:.40} for {what}, which is not a number")
     return value

@@ -11,7 +11,7 @@ from ltm_core.site.source_config import IsapiConfig, OnvifConfig, PtzConfig, Sou
 from ltm_ros.cameras.protocols.credentials import SourceError
 from ltm_ros.cameras.protocols.http_client import HttpClient
 from ltm_ros.cameras.protocols.picture import PtzHead, PtzReading
-from ltm_ros.cameras.ptz.head import client_of, found, number, parsed_xml
+from ltm_ros.cameras.ptz.head import MOST_BYTES, found, number, parsed_xml, settings_of
 from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
 
 
@@ -59,7 +59,7 @@ def _vapix(config: VapixConfig, client: HttpClient) -> tuple[float, float, float
 def open_ptz(config: PtzConfig, source: SourceConfig | None, client: HttpClient | None = None) -> PtzHead:
     """Open a PTZ head without a request. `client`: an existing connection. Raises SourceError, and UnauthorisedError if
     the password cannot be read."""
-    client = client or client_of(config, source)
+    client = client or HttpClient(settings_of(config, source), most_bytes=MOST_BYTES)
     match config:
         case VapixConfig():
             return OneRequestHead(client, partial(_vapix, config))

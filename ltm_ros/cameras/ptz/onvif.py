@@ -47,13 +47,13 @@ class SoapClient:
 
     def clock_ahead(self) -> float | None:
         """Return the seconds by which the camera's clock is ahead of this computer's; None: not reported."""
-        before = time.time()
+        before, question = time.time(), _call(DEVICE, "GetSystemDateAndTime")
         try:
-            root = self._send(self._device, _call(DEVICE, "GetSystemDateAndTime"), signed=False)
+            root = self._send(self._device, question, signed=False)
         except UnauthorisedError:
             # Some cameras require a login even for the time: assume that both clocks agree.
             self._ahead = 0.0
-            root = self._send(self._device, _call(DEVICE, "GetSystemDateAndTime"), signed=True)
+            root = self._send(self._device, question, signed=True)
         middle = (before + time.time()) / 2
         utc = found(root, "UTCDateTime")
         if utc is None:
@@ -95,7 +95,7 @@ class SoapClient:
             f"<s:Header>{header}</s:Header><s:Body>{body}</s:Body></s:Envelope>"
         )
         kind = {"content-type": "application/soap+xml; charset=utf-8"}
-        answer = self._client.get(address, kind, "POST", envelope.encode(), accepted=_TOLD)
+        answer = self._client.get(address, kind, envelope.encode(), accepted=_TOLD)
         if answer.status in (401, 403) and b"Envelope" not in answer.body:
             raise self._login.rejected(f"ONVIF, HTTP {answer.status}")
         root = parsed_xml(answer.body)
@@ -153,7 +153,8 @@ class OnvifPtzHead:
             )
         x, y = number(turn.get("x"), "pan"), number(turn.get("y"), "tilt")
         if _DEGREES not in (turn.get("space") or ""):
-            x, y = _scaled(x, self._config.pan_range_deg), _scaled(y, self._config.tilt_range_deg)
+            ranges = self._config.pan_range_deg, self._config.tilt_range_deg
+            x, y = (low + (value + 1) / 2 * (high - low) for value, (low, high) in zip((x, y), ranges, strict=True))
         status = found(root, "MoveStatus", "PanTilt")
         moving = True if status is not None and (status.text or "").strip() == "MOVING" else None
         return PtzReading(x, y, 0.0 if zoom is None else number(zoom.get("x"), "zoom"), moving, at)
@@ -197,8 +198,3 @@ class OnvifPtzHead:
             raise SourceError(f"no media profile of the camera {what}: select or add one in the camera's settings")
         self._profile = turning[0] if turning else None
         return self._profile or next(iter(profiles))
-
-
-def _scaled(value: float, ends: tuple[float, float]) -> float:
-    """Scale from [-1, 1] to [low, high]."""
-    return ends[0] + (value + 1) / 2 * (ends[1] - ends[0])
