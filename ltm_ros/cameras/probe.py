@@ -17,11 +17,10 @@ from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.exposure import OffsetBounds
 from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
-from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzHead, PtzReading
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.head import host_of, with_configured_host
-from ltm_ros.cameras.ptz.makers import open_ptz
-from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
+from ltm_ros.cameras.ptz.makers import OnvifPtzHead, open_ptz
 
 MOST_BYTES = 32 << 20
 LISTENS_S = 4.0
@@ -56,8 +55,8 @@ class Found:
     seconds_each: float | None = None
     fresh: bool | None = None
     """Whether two requests a moment apart returned different images."""
-    clock_ahead_s: float | None = None
-    clock_known_to_s: float | None = None
+    clock_ahead_s: tuple[float, float] | None = None
+    """Seconds by which the camera's clock is ahead of ours, and their uncertainty."""
     ptz: tuple[dict[str, Any], PtzReading] | None = None
     """Section of the PTZ head in a site file, and its direction."""
     stated: tuple[str, ...] = ()
@@ -164,7 +163,7 @@ def _stream(found: Found, reader: CameraReader) -> str:
                 found.size, found.bytes_each = picture_size(picture.jpeg), len(picture.jpeg)
             if picture.timing.taken is not None:
                 now = time.time() - (time.monotonic() - picture.timing.arrived)
-                found.clock_ahead_s, found.clock_known_to_s = picture.timing.taken.epoch - now, 0.5
+                found.clock_ahead_s = picture.timing.taken.epoch - now, 0.5
     finally:
         reader.close()
     if not arrivals:
@@ -183,15 +182,16 @@ def _clock_of(found: Found, answers: list[HttpResponse]) -> None:
         bounds.add(stated.epoch - answer.arrived, stated.epoch + stated.resolution - answer.asked, answer.arrived)
     low, high = bounds.at(answers[-1].arrived)
     ours = time.time() - time.monotonic()
-    found.clock_ahead_s, found.clock_known_to_s = (low + high) / 2 - ours, (high - low) / 2
+    found.clock_ahead_s = (low + high) / 2 - ours, (high - low) / 2
 
 
 def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
-    adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
-    ptz: PtzHead = open_ptz(adapter.validate_python(given | web), None)
+    config: PtzConfig = TypeAdapter(PtzConfig).validate_python(given | web)
+    ptz = open_ptz(config, None)
     try:
         if isinstance(ptz, OnvifPtzHead):
-            found.clock_ahead_s, found.clock_known_to_s = ptz.soap.clock_ahead(), 0.5
+            ahead = ptz.soap.clock_ahead()
+            found.clock_ahead_s = None if ahead is None else (ahead, 0.5)
             found.stated = tuple(filter(None, ptz.picture_addresses()))
         reading = ptz.read()
     finally:

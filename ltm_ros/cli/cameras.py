@@ -221,8 +221,7 @@ def _print_found(found: Found) -> None:
         which, style = ("a new", "") if found.fresh else ("the same", "yellow")
         row("response time", f"{found.seconds_each:.2f} s, {which} image each time", style)
     if found.clock_ahead_s is not None:
-        known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
-        row("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}")
+        row("clock ahead of ours by", "{:+.1f} +- {:.1f} s".format(*found.clock_ahead_s))
     if found.ptz is not None:
         ptz, reading = found.ptz
         row("PTZ protocol", " ".join(str(value) for value in ptz.values()))

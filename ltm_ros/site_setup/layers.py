@@ -71,7 +71,12 @@ def write_dem(
 
     Raises RasterError as `overlapping` and `resample` do, OSError if the file cannot be written."""
     there = overlapping(tiles, bounds, crs)
-    wanted, bounds = bounds, _within(bounds, there, crs)
+    wanted, boxes = (
+        bounds,
+        [Transformer.from_crs(t.crs, crs, always_xy=True).transform_bounds(*t.bounds) for t in there],
+    )
+    low, high = np.maximum(wanted, np.min(boxes, axis=0)).tolist(), np.minimum(wanted, np.max(boxes, axis=0)).tolist()
+    bounds = low[0], low[1], high[2], high[3]  # as far as the box around all tiles reaches
     size = max(least, site_resolution(there, max(bounds[2] - bounds[0], bounds[3] - bounds[1]), _MOST_PER_SIDE))
     grid = grid_over(bounds, size, there, crs)
     heights, found = resample(there, grid, datum)
@@ -90,14 +95,6 @@ def write_dem(
     about = {"RESAMPLING": how, "VERTICAL_DATUM": _named(datum)}
     _write(path, heights, grid, data, about, datum)
     return Layer(path, f"{_described(data, size)}, {how}", grid, tuple(remarks))
-
-
-def _within(bounds: Bounds, tiles: Sequence[Tile], crs: str) -> Bounds:
-    """Return the part of bounds in `crs` that the box around all tiles covers."""
-    boxes = [Transformer.from_crs(tile.crs, crs, always_xy=True).transform_bounds(*tile.bounds) for tile in tiles]
-    west, south, _, _ = np.maximum(bounds, np.min(boxes, axis=0)).tolist()
-    _, _, east, north = np.minimum(bounds, np.max(boxes, axis=0)).tolist()
-    return west, south, east, north
 
 
 def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Datum | None, ground: Dem) -> Layer:

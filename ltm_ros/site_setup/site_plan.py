@@ -99,12 +99,13 @@ def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
     lon, lat = wish.lonlat
     own = elevation_tiles(local(wish.files["dem"])) if wish.files.get("dem") else []
     crs = _site_crs(lon, lat, wish.crs, own)
-    x, y = (float(v) for v in SiteFrame(crs).from_lonlat(lon, lat))
+    frame = SiteFrame(crs)
+    x, y = map(float, frame.from_lonlat(lon, lat))
     fine = (x - wish.radius, y - wish.radius, x + wish.radius, y + wish.radius)
     problem = scale_problem(crs, GridGeometry(fine[0], fine[3], wish.radius, 2, 2, crs))
     if problem:
         raise ConfigError(f"--crs {crs}: {problem}")
-    places = {camera.ros_name: SiteFrame(crs).from_lonlat(camera.lon, camera.lat) for camera in wish.cameras}
+    places = {camera.ros_name: frame.from_lonlat(camera.lon, camera.lat) for camera in wish.cameras}
     cameras = {name: (float(cx), float(cy)) for name, (cx, cy) in places.items()}
     remarks = _check_places(cameras, fine)
     plan = SitePlan(wish, crs, (round(x, -3), round(y, -3)), [], remarks)

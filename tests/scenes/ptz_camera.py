@@ -10,7 +10,7 @@ import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import dataclass
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, urlsplit
 
 from ltm_core.base.types import UInt8Array
 from scenes.http_camera import HttpCamera, Request, Route
@@ -91,20 +91,10 @@ class FakeHead:
     # --- VAPIX
 
     def _vapix(self, request: Request) -> None:
-        query = {name: values[0] for name, values in parse_qs(request.query).items()}
         pan, tilt, zoom = self.encoders()
-        kind = query.get("query")
-        if kind == "position":
-            turned = (pan + 180) % 360 - 180
-            lines = [
-                f"pan={turned:.4f}",
-                f"tilt={tilt:.4f}",
-                f"zoom={zoom:.0f}",
-                "autofocus=on",
-            ]
-        else:
-            lines = ["Error: unknown query"]
-        request.answer(200, "\r\n".join([*lines, ""]).encode(), "text/plain")
+        text = f"pan={(pan + 180) % 360 - 180:.4f}\r\ntilt={tilt:.4f}\r\nzoom={zoom:.0f}\r\nautofocus=on\r\n"
+        known = parse_qs(urlsplit(request.path).query).get("query") == ["position"]
+        request.answer(200, (text if known else "Error: unknown query\r\n").encode(), "text/plain")
 
     # --- ISAPI: elevation grows downwards
 

@@ -118,19 +118,10 @@ def with_configured_host(stated: str, asked: str) -> str:
     return urlunsplit((own.scheme, own.netloc, parts.path, parts.query, ""))
 
 
-def local(element: ElementTree.Element) -> str:
-    """Return an element's name without its namespace, which cameras of one maker vary."""
-    return element.tag.rpartition("}")[2]
-
-
 def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
-    """Return the first element below others of these names, in this order, at any depth."""
-    here: ElementTree.Element | None = root
-    for name in names:
-        if here is None:
-            return None
-        here = next((e for e in here.iter() if e is not here and local(e) == name), None)
-    return here
+    """Return the first element below others of these names, in this order, at any depth, in any namespace: cameras of
+    one maker vary it."""
+    return root.find("." + "".join(f"//{{*}}{name}" for name in names))
 
 
 def number(text: str | None, what: str) -> float:

@@ -2,7 +2,7 @@
 
 import resource
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -131,92 +131,55 @@ def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, 
         assert raster.tags()["SOURCE"] == "mine"
 
 
-Situation = Callable[[SiteServices, pytest.MonkeyPatch], dict[str, object]]
-
-
 def keyed(monkeypatch: pytest.MonkeyPatch, key: str = KEY) -> None:
     monkeypatch.setenv("OPENTOPOGRAPHY_API_KEY", key)
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
 
 
-def wrong_key(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch, "wrong")
-    return {}
-
-
-def missing_key(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    return {}
-
-
-def quota(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.statuses["/ot/"], services.retry_after = [429] * 99, "0"
-    return {}
-
-
-def down(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.statuses["/"] = [503] * 99
-    return {}
-
-
-def unreachable(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    return {name: {"address": "http://127.0.0.1:9/x"} for name in ("opentopography_cop30", "landfire")}
-
-
-def truncated(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.cut["/ot/"] = services.cut["/lfps/result"] = 99
-    return {}
-
-
-def silent(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.stall_s = 1.0
-    return {}
-
-
-def full_disk(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    monkeypatch.setattr("ltm_ros.site_setup.web.free_bytes", lambda path: 1000)
-    return {}
-
-
-def failed_job(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.job_states = ["Executing", "Failed"]
-    return {}
-
-
-def no_region(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.fuel_years = {}
-    services.statuses["/ot/"] = [204] * 9
+def arrange(situation: str, services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, object]]:
+    """Make a situation; return the keys of the sources that belong to it."""
+    if situation != "missing key":
+        keyed(monkeypatch, "wrong" if situation == "wrong key" else KEY)
+    match situation:
+        case "quota":
+            services.statuses["/ot/"], services.retry_after = [429] * 99, "0"
+        case "down":
+            services.statuses["/"] = [503] * 99
+        case "unreachable":
+            return {name: {"address": "http://127.0.0.1:9/x"} for name in ("opentopography_cop30", "landfire")}
+        case "truncated":
+            services.cut["/ot/"] = services.cut["/lfps/result"] = 99
+        case "silent":
+            services.stall_s = 1.0
+        case "full disk":
+            monkeypatch.setattr("ltm_ros.site_setup.web.free_bytes", lambda path: 1000)
+        case "failed job":
+            services.job_states = ["Executing", "Failed"]
+        case "no region":
+            services.fuel_years, services.statuses["/ot/"] = {}, [204] * 9
     return {}
 
 
 @pytest.mark.parametrize(
     ("situation", "topography", "fuel"),
     [
-        (wrong_key, "key", ""),
-        (missing_key, "OPENTOPOGRAPHY_API_KEY", "LANDFIRE_EMAIL"),
-        (quota, "429", ""),
-        (down, "503", "503"),
-        (unreachable, "127.0.0.1", "127.0.0.1"),
-        (truncated, "127.0.0.1", "127.0.0.1"),
-        (silent, "127.0.0.1", "127.0.0.1"),
-        (full_disk, "MB", "MB"),
-        (failed_job, "", "ERROR 001"),
-        (no_region, "204", "FBFM40"),
+        ("wrong key", "key", ""),
+        ("missing key", "OPENTOPOGRAPHY_API_KEY", "LANDFIRE_EMAIL"),
+        ("quota", "429", ""),
+        ("down", "503", "503"),
+        ("unreachable", "127.0.0.1", "127.0.0.1"),
+        ("truncated", "127.0.0.1", "127.0.0.1"),
+        ("silent", "127.0.0.1", "127.0.0.1"),
+        ("full disk", "MB", "MB"),
+        ("failed job", "", "ERROR 001"),
+        ("no region", "204", "FBFM40"),
     ],
 )
 def test_a_situation_is_a_clear_error_and_leaves_no_file(
-    situation: Situation, topography: str, fuel: str, services: SiteServices, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    further = situation(services, monkeypatch)
-    listed = sources(services, tmp_path, 0.2 if situation is silent else 5.0, **further)
+    situation: str, topography: str, fuel: str, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    further = arrange(situation, services, monkeypatch)
+    listed = sources(services, tmp_path, 0.2 if situation == "silent" else 5.0, **further)
     cases: list[tuple[Kind, str, str]] = [("dem", "opentopography_cop30", topography), ("fuel", "landfire", fuel)]
     for kind, name, said in cases:
         if said:

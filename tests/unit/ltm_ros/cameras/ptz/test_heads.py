@@ -10,8 +10,7 @@ from ltm_core.site.source_config import PtzConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.picture import PtzHead
 from ltm_ros.cameras.ptz.head import parsed_xml
-from ltm_ros.cameras.ptz.makers import open_ptz
-from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
+from ltm_ros.cameras.ptz.makers import OnvifPtzHead, open_ptz
 
 KINDS: dict[str, dict[str, Any]] = {
     "vapix": {"kind": "vapix"},
