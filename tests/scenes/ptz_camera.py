@@ -133,14 +133,10 @@ class FakeHead:
         pan, tilt, zoom = self.encoders()
         if name == "GetSystemDateAndTime":
             now = time.gmtime(time.time() + self.clock_ahead)
-            day = f"<tt:Year>{now.tm_year}</tt:Year><tt:Month>{now.tm_mon}</tt:Month><tt:Day>{now.tm_mday}</tt:Day>"
-            hour = f"<tt:Hour>{now.tm_hour}</tt:Hour><tt:Minute>{now.tm_min}</tt:Minute>"
-            hour += f"<tt:Second>{now.tm_sec}</tt:Second>"
-            inside = (
-                ""
-                if self.time == "none"
-                else f"<tt:UTCDateTime><tt:Time>{hour}</tt:Time><tt:Date>{day}</tt:Date></tt:UTCDateTime>"
-            )
+            words = ["Year", "Month", "Day", "Hour", "Minute", "Second"]
+            parts = [f"<tt:{word}>{value}</tt:{word}>" for word, value in zip(words, now[:6], strict=True)]
+            date, hour = f"<tt:Date>{''.join(parts[:3])}</tt:Date>", f"<tt:Time>{''.join(parts[3:])}</tt:Time>"
+            inside = "" if self.time == "none" else f"<tt:UTCDateTime>{hour}{date}</tt:UTCDateTime>"
         elif name == "GetCapabilities":
             inside = "".join(
                 f"<tt:{service}><tt:XAddr>{host}/{service.lower()}</tt:XAddr></tt:{service}>"
@@ -181,19 +177,11 @@ class FakeHead:
         return right and abs(age) <= CLOCK_TOLERANCE_S
 
     def _soap(self, request: Request, body: str, status: int = 200) -> None:
-        names = " ".join(
-            f'xmlns:{short}="http://www.onvif.org/{path}"'
-            for short, path in {
-                "tt": "ver10/schema",
-                "trt": "ver10/media/wsdl",
-                "tptz": "ver20/ptz/wsdl",
-                "ter": "ver10/error",
-                "x": "x",
-            }.items()
-        )
+        names = " ".join(f'xmlns:{short}="http://www.onvif.org/{path}"' for short, path in _NAMES.items())
         self._xml(request, f'<s:Envelope xmlns:s="{_SOAP}" {names}><s:Body>{body}</s:Body></s:Envelope>', status)
 
 
+_NAMES = {"tt": "ver10/schema", "trt": "ver10/media/wsdl", "tptz": "ver20/ptz/wsdl", "ter": "ver10/error", "x": "x"}
 _HIK = ' version="2.0" xmlns="http://www.hikvision.com/ver20/XMLSchema"'
 
 

@@ -36,8 +36,9 @@ class OneRequestHead:
 
 
 def _isapi(config: IsapiConfig, client: HttpClient) -> tuple[float, float, float]:
-    """Return azimuth, elevation and zoom: tenths of a degree in `status`, degrees with decimals in `absoluteEx`. On most
-    of these PTZ heads, elevation grows downwards (0 level, 90 straight down): `mount.tilt_sign: -1`."""
+    """Return azimuth, elevation and zoom: tenths of a degree in `status`, degrees with decimals in `absoluteEx`.
+
+    On most of these PTZ heads, elevation grows downwards (0 level, 90 straight down): `mount.tilt_sign: -1`."""
     page, place, scale = ("status", ("AbsoluteHigh",), 0.1) if config.units == "tenths" else ("absoluteEx", (), 1.0)
     root = parsed_xml(client.get(f"/ISAPI/PTZCtrl/channels/{config.channel}/{page}").body)
     values = []

@@ -16,6 +16,7 @@ import rasterio
 from pyproj import CRS, Transformer
 from pyproj.datadir import get_user_data_dir
 from rasterio.transform import from_origin
+from scenes.site_services import geotiff
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
@@ -115,11 +116,8 @@ def test_heights_agree_with_a_pipeline_of_proj(given: str, wanted: str, grids: P
 @pytest.mark.parametrize("wanted", [NAVD88, EGM2008])
 def test_a_raster_comes_into_the_datum_of_the_site(crs: str, wanted: Datum, grids: Path, tmp_path: Path) -> None:
     unit = 1200 / 3937 if crs.endswith("6360") else 1.0
-    with rasterio.open(
-        tmp_path / "a.tif", "w", driver="GTiff", width=120, height=90, count=1, dtype="float32", crs=crs,
-        transform=from_origin(-118.07, 34.24, 1 / 3600, 1 / 3600),
-    ) as sink:  # fmt: skip
-        sink.write((np.full((90, 120), 500.0) / unit).astype(np.float32), 1)
+    heights = (np.full((90, 120), 500.0) / unit).astype(np.float32)
+    (tmp_path / "a.tif").write_bytes(geotiff(heights, crs, -118.07, 34.24, 1 / 3600))
     grid = GridGeometry(401_800.0, 3_788_000.0, 50.0, 30, 20, "EPSG:32611")
     tiles = tiles_of([tmp_path / "a.tif"])
     made, _ = resample(tiles, grid, wanted)
