@@ -1,6 +1,5 @@
 """Sources that prepare a file on request: OpenTopography, LANDFIRE's product service, Web Coverage Services."""
 
-import json
 import math
 import re
 import time
@@ -231,7 +230,7 @@ class LandfireSource(Source):
             job = answer.get("jobId") if isinstance(answer, dict) else None
             if not isinstance(job, str):
                 raise FetchError(f"{self.name}: the job was rejected ({plain(str(answer), 300)}); change the area")
-            noted.write_text(json.dumps({"job": job}))
+            noted.write_text(job)
             url = self._finished(noted)
         remote = None if url is None else self.web.remote(url)
         if url is None or remote is None:  # archives are deleted after some days
@@ -242,8 +241,8 @@ class LandfireSource(Source):
     def _finished(self, noted: Path) -> str | None:
         """Wait for a job, and return the address of its result; None if there is no such job. Raises FetchError."""
         try:
-            job = str(json.loads(noted.read_text())["job"])
-        except (OSError, ValueError, KeyError, TypeError):
+            job = noted.read_text()
+        except OSError:
             return None
         end = time.monotonic() + _JOB_S
         while time.monotonic() < end:

@@ -24,6 +24,9 @@ from rasterio.transform import from_origin
 from rasterio.warp import transform_bounds
 
 from ltm_ros.site_setup.request import Area
+from ltm_ros.site_setup.source import Source
+from ltm_ros.site_setup.sources import load_sources
+from ltm_ros.site_setup.web import Web
 
 Formula = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 """Values at the cell centres x, y in the raster's CRS."""
@@ -126,6 +129,10 @@ class SiteServices:
             entries[name] = {**entries.get(name, {}), **keys}
         path.write_text(yaml.safe_dump({"sources": entries}, sort_keys=False))
         return path
+
+    def loaded(self, folder: Path, timeout_s: float = 5.0, **further: Mapping[str, Any]) -> list[Source]:
+        """Return the sources of `sources`, with a cache in a folder."""
+        return load_sources(self.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, timeout_s))
 
     def count(self, part: str) -> int:
         """Return the number of requests with `part` in their path."""

@@ -11,13 +11,7 @@ from ltm_core.base.redaction import redacted
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
 from ltm_ros.cameras.protocols.exposure import exif_time
-from ltm_ros.cameras.protocols.http_client import (
-    HttpClient,
-    HttpResponse,
-    http_time,
-    is_whole_jpeg,
-    page_in,
-)
+from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time, is_whole_jpeg, page_in
 from ltm_ros.cameras.protocols.picture import CameraImage, Nothing, Timing, stated_number
 
 _SHOWN, _SHOWN_TEXT = 16, 60

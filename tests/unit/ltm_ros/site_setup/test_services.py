@@ -37,10 +37,6 @@ def services() -> Iterator[SiteServices]:
         yield services
 
 
-def sources(services: SiteServices, folder: Path, timeout_s: float = 5.0, **further: dict[str, object]) -> list[Source]:
-    return load_sources(services.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, timeout_s))
-
-
 def only(name: str, listed: list[Source]) -> list[Source]:
     return [source for source in listed if source.name == name]
 
@@ -58,7 +54,7 @@ def test_open_topography_delivers_heights_with_the_datum_of_the_record(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OPENTOPOGRAPHY_API_KEY", KEY)
-    choice = choose("coarser", HERE, only("opentopography_cop30", sources(services, tmp_path)))
+    choice = choose("coarser", HERE, only("opentopography_cop30", services.loaded(tmp_path)))
     fetched = choice.fetch(tmp_path / "out")
     values, about = opened(fetched.files[0])
     np.testing.assert_allclose(values, services.heights(*grid(*about.transform @ (0, 0), 1 / 3600, *about.shape[::-1])))
@@ -73,7 +69,7 @@ def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
-    fetched = choose("fuel", HERE, sources(services, tmp_path)).fetch(tmp_path / "out")
+    fetched = choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out")
     assert (fetched.source, fetched.year) == ("landfire", 2024)
     fetched_codes(fetched.files)
     (path,) = fetched.files
@@ -90,7 +86,7 @@ def test_the_newest_edition_that_is_complete_for_the_area_is_used(
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
     services.fuel_years = known
-    assert choose("fuel", HERE, sources(services, tmp_path)).fetch(tmp_path / "out").year == year
+    assert choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out").year == year
 
 
 def test_an_interrupted_job_is_continued_and_not_submitted_again(
@@ -98,7 +94,7 @@ def test_an_interrupted_job_is_continued_and_not_submitted_again(
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
     services.job_states = ["Pending"]
-    choice = choose("fuel", HERE, sources(services, tmp_path))
+    choice = choose("fuel", HERE, services.loaded(tmp_path))
     with monkeypatch.context() as soon:
         soon.setattr("ltm_ros.site_setup.services._JOB_S", 0.1)
         with pytest.raises(FetchError, match="not finished"):
@@ -109,7 +105,7 @@ def test_an_interrupted_job_is_continued_and_not_submitted_again(
 
 
 def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteServices, tmp_path: Path) -> None:
-    choice = choose("fuel", HERE, sources(services, tmp_path))
+    choice = choose("fuel", HERE, services.loaded(tmp_path))
     fetched = choice.fetch(tmp_path / "out")
     assert fetched.source == "landfire_wcs"
     assert "LANDFIRE_EMAIL" in choice.plan.notes[0]
@@ -122,7 +118,7 @@ def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, 
     services.files["/cog/mine.tif"] = heights
     mine = {"kinds": ["dem"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
             "resolution_m": 400}  # fmt: skip
-    listed = sources(services, tmp_path, mine=mine, copernicus_glo30={"year": 2021})
+    listed = services.loaded(tmp_path, mine=mine, copernicus_glo30={"year": 2021})
     assert listed[0].name == "mine"
     assert next(s for s in listed if s.name == "copernicus_glo30").year == 2021
     fetched = choose("dem", HERE, listed).fetch(tmp_path / "out")
@@ -179,7 +175,7 @@ def test_a_situation_is_a_clear_error_and_leaves_no_file(
     situation: str, topography: str, fuel: str, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     further = arrange(situation, services, monkeypatch)
-    listed = sources(services, tmp_path, 0.2 if situation == "silent" else 5.0, **further)
+    listed = services.loaded(tmp_path, 0.2 if situation == "silent" else 5.0, **further)
     cases: list[tuple[Kind, str, str]] = [("dem", "opentopography_cop30", topography), ("fuel", "landfire", fuel)]
     for kind, name, said in cases:
         if said:
@@ -201,7 +197,7 @@ def test_an_area_without_a_source_names_the_reason_of_each(
     area: Area, names: str, services: SiteServices, tmp_path: Path
 ) -> None:
     with pytest.raises(NoCoverageError, match=names) as error:
-        choose("dem", area, sources(services, tmp_path))
+        choose("dem", area, services.loaded(tmp_path))
     elevation = [source for source in load_sources() if "dem" in source.kinds]
     assert all(source.name in str(error.value) for source in elevation)
 
@@ -231,7 +227,7 @@ def test_place_decides_the_source(
     else:
         corner = f"{north_south}{abs(south):02d}_00_{east_west}{abs(west):03d}".upper()
         services.files[f"/cog/GLO30_{corner}.tif"] = tile
-    listed = sources(services, tmp_path)
+    listed = services.loaded(tmp_path)
     assert choose("dem", area, listed).source.name == elevation
     if fuel:
         choice = choose("fuel", area, listed)
@@ -248,14 +244,14 @@ def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
         np.ones((360, 360), np.float32), "EPSG:4269", -119, 35.0, 1 / 360
     )
     services.statuses["/tnm/"] = [502] * 99
-    choice = choose("dem", HERE, sources(services, tmp_path))
+    choice = choose("dem", HERE, services.loaded(tmp_path))
     assert choice.source.name == "usgs_3dep_10m"
     assert "502" in choice.plan.notes[0]
 
 
 def test_an_old_fuel_map_is_noted_with_its_year(services: SiteServices, tmp_path: Path) -> None:
     services.fuel_years = {2016: 1.0}
-    listed = only("landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016}))
+    listed = only("landfire_wcs", services.loaded(tmp_path, landfire_wcs={"year": 2016}))
     assert "2016" in choose("fuel", HERE, listed).plan.notes[0]
 
 
@@ -277,7 +273,7 @@ def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: p
 @pytest.mark.parametrize("address", ["http://[bad/x", "http://127.0.0.1:999999/x", "http://xn--\u2603.invalid/x"])
 def test_an_address_that_is_none_is_a_clear_error(address: str, services: SiteServices, tmp_path: Path) -> None:
     with pytest.raises(LtmError):
-        choose("fuel", HERE, only("landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address})))
+        choose("fuel", HERE, only("landfire_wcs", services.loaded(tmp_path, landfire_wcs={"address": address})))
 
 
 @pytest.mark.parametrize(
@@ -309,7 +305,7 @@ def test_the_page_lists_the_sources() -> None:
 
 def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="adress"):
-        sources(services, tmp_path, copernicus_glo30={"adress": "x"})
+        services.loaded(tmp_path, copernicus_glo30={"adress": "x"})
     (tmp_path / "bad.yaml").write_text("usgs_3dep_1m: {year: 2020}\n")
     with pytest.raises(ConfigError):
         load_sources(tmp_path / "bad.yaml")
@@ -332,7 +328,7 @@ def test_a_file_with_a_wrong_checksum_is_not_kept(services: SiteServices, tmp_pa
     services.files["/cog/mine.tif"] = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
     mine = {"kinds": ["dem"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
             "resolution_m": 400, "sha256": "0" * 64}  # fmt: skip
-    choice = choose("dem", HERE, sources(services, tmp_path, mine=mine))
+    choice = choose("dem", HERE, services.loaded(tmp_path, mine=mine))
     with pytest.raises(FetchError, match="0000"):
         choice.fetch(tmp_path / "out")
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".part")]

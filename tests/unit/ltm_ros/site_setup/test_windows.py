@@ -13,8 +13,7 @@ from scenes.site_services import SiteServices, area_around, geotiff, grid, opene
 from ltm_core.base.errors import LtmError
 from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
 from ltm_ros.site_setup.source import Source
-from ltm_ros.site_setup.sources import choose, load_sources
-from ltm_ros.site_setup.web import Web
+from ltm_ros.site_setup.sources import choose
 
 STEP = 1 / 360
 AREA = area_around(-118.0, 34.6, 8000.0)
@@ -27,12 +26,8 @@ def services() -> Iterator[SiteServices]:
         yield services
 
 
-def sources(services: SiteServices, folder: Path, **further: dict[str, object]) -> list[Source]:
-    return load_sources(services.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, 5.0))
-
-
 def named(services: SiteServices, folder: Path, name: str, **keys: object) -> Source:
-    return next(s for s in sources(services, folder, **{name: keys}) if s.name == name)
+    return next(s for s in services.loaded(folder, **{name: keys}) if s.name == name)
 
 
 def plane(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
@@ -97,7 +92,7 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
         )
     near, wide = (area_around(-118.47, 34.09, radius) for radius in (8000.0, 40_000.0))
     quarter = {"usgs_3dep_10m": {"resolution_m": 41.2}, "copernicus_glo30": {"resolution_m": 123.6}}
-    listed = sources(services, tmp_path, **quarter)
+    listed = services.loaded(tmp_path, **quarter)
     used = expected = 0.0
     cases: list[tuple[Kind, Area]] = [("dem", near), ("coarser", wide), ("fuel", near)]
     for kind, area in cases:
@@ -140,7 +135,7 @@ def test_a_source_that_covers_part_of_an_area_is_passed_over_with_its_share(
     services.add_product("x1y1.tif", half, "2020")
     for file, left in zip(TILES["copernicus_glo30"][0], (-119, -118), strict=True):
         add_degree_tile(services, file, left, 35, 0, -0.5)
-    choice = choose("dem", AREA, sources(services, tmp_path))
+    choice = choose("dem", AREA, services.loaded(tmp_path))
     assert choice.source.name == "copernicus_glo30"
     assert [note.split()[0] for note in choice.plan.notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
 
@@ -244,11 +239,11 @@ def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
     unknown = np.full((360, 360), -9999.0, np.float32)
     services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
     area = area_around(-118.5, 34.5, 8000.0)
-    listed = sources(services, tmp_path)
+    listed = services.loaded(tmp_path)
     with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
         choose("dem", area, listed).fetch(tmp_path / "out")
     add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
-    choice = choose("dem", area, sources(services, tmp_path))
+    choice = choose("dem", area, services.loaded(tmp_path))
     fetched = choice.fetch(tmp_path / "out")
     assert (choice.source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
     assert fetched.vertical_crs == "EPSG:3855"
