@@ -55,8 +55,8 @@ def _print_status(said: Mapping[str, Any]) -> None:
         dropped = ", ".join(f"{cause} {count}" for cause, count in sorted(one["dropped"].items()))
         since = f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}"
         newest, latency = _seconds(one["frame_age_s"], " ago"), _seconds(one["latency_s"])
-        counts = str(one["frames_in"]), str(one["finished"])
-        cameras.append((one["name"], one["state"], since, newest, *counts, dropped, latency, one["pose"], one["why"]))
+        frames = str(one["frames_in"]), str(one["finished"])
+        cameras.append((one["name"], one["state"], since, newest, *frames, dropped, latency, one["pose"], one["why"]))
     nodes = []
     for one in said["nodes"]:
         work = one["values"].get("work_p95_ms")

@@ -43,7 +43,6 @@ class Layer:
 
     path: Path
     described: str
-    grid: GridGeometry
     remarks: tuple[str, ...] = ()
 
 
@@ -94,7 +93,7 @@ def write_dem(
     how = "cells of the source" if kept else f"bilinear, standard error {interpolation_error(heights):.2f} m"
     about = {"RESAMPLING": how, "VERTICAL_DATUM": _named(datum)}
     _write(path, heights, grid, data, about, datum)
-    return Layer(path, f"{_described(data, size)}, {how}", grid, tuple(remarks))
+    return Layer(path, f"{_described(data, size)}, {how}", tuple(remarks))
 
 
 def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Datum | None, ground: Dem) -> Layer:
@@ -111,7 +110,7 @@ def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Da
         heights = under + np.maximum(heights, 0)
     _write(path, heights, grid, data, {"VERTICAL_DATUM": _named(datum)}, datum)
     what = "canopy height above the DEM" if above else "surface"
-    return Layer(path, f"{_described(data, size)}, {what}", grid, remarks)
+    return Layer(path, f"{_described(data, size)}, {what}", remarks)
 
 
 def _above_ground(heights: NDArray[np.float32], ground: NDArray[np.float32], path: Path) -> bool:
@@ -145,7 +144,7 @@ def write_fuel(folder: Path, data: Fetched, grid: GridGeometry) -> Layer:
     remarks = list(prior.remarks)
     if known < 0.995:
         remarks.append(f"{folder.name}: {data.source} covers {known:.0%} of the area; the rest is unknown")
-    return Layer(folder, f"{', '.join(bands)}; {_described(data, grid.resolution)}", grid, tuple(remarks))
+    return Layer(folder, f"{', '.join(bands)}; {_described(data, grid.resolution)}", tuple(remarks))
 
 
 def _prior_of(files: Sequence[Path]) -> PriorConfig:

@@ -17,7 +17,7 @@ import httpx
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.site.source_config import HttpSettings
 from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError
-from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraTransport, Deadline
+from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraNetwork, CameraTransport
 from ltm_ros.cameras.protocols.picture import CameraTime, Timing
 
 REFUSED = (401, 403, 423)
@@ -58,14 +58,14 @@ class HttpClient:
         self.login, self.url = Login.of(settings), settings.url
         self._most_bytes = most_bytes
         self._whole_s = WHOLE_FACTOR * settings.timeout
-        self._deadline = Deadline()
+        self._network = CameraNetwork()
         auth = None
         if settings.user is not None and "{password}" not in settings.url:
             kind = settings.authentication
             auth = CameraAuth(settings.user, self.login.secret, ("digest", "basic") if kind == "auto" else (kind,))
         self._client = httpx.Client(
             auth=auth,
-            transport=CameraTransport(_certificates(settings), KEEP_S, self._deadline),
+            transport=CameraTransport(_certificates(settings), KEEP_S, self._network),
             timeout=settings.timeout,
             # A redirect would send the password to another host.
             follow_redirects=False,
@@ -127,13 +127,13 @@ class HttpClient:
     @contextlib.contextmanager
     def in_time(self) -> Iterator[None]:
         """Limit the body to the time of a whole answer. Raises SourceError without secrets for errors of httpx."""
-        self._deadline.until = time.monotonic() + self._whole_s
+        self._network.until = time.monotonic() + self._whole_s
         try:
             yield
         except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
             why = self.login.redact(error)
             match error:
-                case _ if time.monotonic() >= self._deadline.until:
+                case _ if time.monotonic() >= self._network.until:
                     said = f"the camera took more than {self._whole_s:g} s for one image"
                 case httpx.TimeoutException():
                     what = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
