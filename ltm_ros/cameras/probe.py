@@ -207,12 +207,12 @@ def site_entry(
     found: Found,
     user: str | None,
     password: SecretConfig | None,
-    place: dict[str, float | None],
-    pitch_deg: float,
-    hfov_deg: float | None,
+    placed: dict[str, Any],
+    pitch: float,
+    hfov: float | None,
 ) -> dict[str, Any]:
-    """Return the sections source, ptz, mount or pose, and calibration, as far as known. `place`: the position's keys
-    and azimuth_deg."""
+    """Return the sections source, ptz, mount or pose, and calibration, as far as known. `placed`: the keys of position
+    and azimuth."""
     entry: dict[str, Any] = {}
     if found.source is not None:
         entry["source"] = dict(found.source)
@@ -222,19 +222,19 @@ def site_entry(
             entry["source"]["user"] = user
         if password is not None:
             entry["source"]["password"] = password.model_dump(mode="json", exclude_none=True)
-    where: dict[str, Any] = {} if None in place.values() else dict(place)
+    where = {} if None in placed.values() else placed
     size = {} if found.size is None else dict(zip(("width", "height"), found.size, strict=True))
     if found.ptz is not None:
         entry["ptz"], kind = dict(found.ptz[0]), found.ptz[0]["kind"]
         if size:
             entry["mount"] = where | ({"tilt_sign": -1} if kind == "isapi" else {})
-            if kind == "vapix" and hfov_deg is None:
+            if kind == "vapix" and hfov is None:
                 # The lens table of ALERTCalifornia's Axis cameras, until this lens is calibrated.
                 entry["mount"]["lens"] = size
     elif where:
-        entry["pose"] = where | {"pitch_deg": pitch_deg}
-    if size and hfov_deg is not None:
-        entry["calibration"] = size | {"hfov_deg": hfov_deg}
+        entry["pose"] = where | {"pitch_deg": pitch}
+    if size and hfov is not None:
+        entry["calibration"] = size | {"hfov_deg": hfov}
     return entry
 
 

@@ -91,8 +91,7 @@ def write_dem(
         )
     kept = len(there) == 1 and same_crs(there[0].crs, crs) and math.isclose(there[0].dx, size)
     how = "cells of the source" if kept else f"bilinear, standard error {interpolation_error(heights):.2f} m"
-    about = {"RESAMPLING": how, "VERTICAL_DATUM": _named(datum)}
-    _write(path, heights, grid, data, about, datum)
+    _write(path, heights, grid, data, datum, how)
     return Layer(path, f"{_described(data, size)}, {how}", tuple(remarks))
 
 
@@ -108,7 +107,7 @@ def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Da
     above = data.above_ground or (all(tile.datum is None for tile in tiles) and _above_ground(heights, under, path))
     if above:
         heights = under + np.maximum(heights, 0)
-    _write(path, heights, grid, data, {"VERTICAL_DATUM": _named(datum)}, datum)
+    _write(path, heights, grid, data, datum)
     what = "canopy height above the DEM" if above else "surface"
     return Layer(path, f"{_described(data, size)}, {what}", remarks)
 
@@ -139,7 +138,7 @@ def write_fuel(folder: Path, data: Fetched, grid: GridGeometry) -> Layer:
     canopy = zip(CANOPY_BANDS, () if prior.canopy is None else prior.canopy, strict=False)
     bands |= {name: values for name, values in canopy if (values != NODATA).any()}
     for name, values in bands.items():
-        _write(folder / f"{name}.tif", values, grid, data, {"RESAMPLING": "nearest"})
+        _write(folder / f"{name}.tif", values, grid, data, how="nearest")
     known = float((prior.codes != NODATA).mean())
     remarks = list(prior.remarks)
     if known < 0.995:
@@ -165,19 +164,11 @@ def _described(data: Fetched, size: float) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _named(datum: Datum | None) -> str:
-    return "unknown" if datum is None else f"{datum.name} ({datum.code})"
-
-
 def _write(
-    path: Path,
-    values: NDArray[Any],
-    grid: GridGeometry,
-    data: Fetched,
-    about: dict[str, str],
-    datum: Datum | None = None,
+    path: Path, values: NDArray[Any], grid: GridGeometry, data: Fetched, datum: Datum | None = None, how: str = ""
 ) -> None:
-    """Write heights (floats, above `datum`) or a band of the fuel map as a cloud-optimised GeoTIFF with provenance."""
+    """Write heights (floats, above `datum`) or a band of the fuel map as a cloud-optimised GeoTIFF with provenance.
+    `how`: it was resampled."""
     import rasterio
     import rasterio.shutil
     from rasterio.io import MemoryFile
@@ -188,9 +179,10 @@ def _write(
         "YEAR": "unknown" if data.year is None else str(data.year),
         "URLS": " ".join(data.urls) or " ".join(file.name for file in data.files),
         "SOFTWARE": "ltm init",
-        **about,
     }
-    heights = values.dtype.kind == "f"
+    tags |= {"RESAMPLING": how} if how else {}
+    if heights := values.dtype.kind == "f":
+        tags["VERTICAL_DATUM"] = "unknown" if datum is None else f"{datum.name} ({datum.code})"
     options = {
         "driver": "GTiff", "width": grid.width, "height": grid.height, "count": 1, "dtype": values.dtype,
         "crs": compound(grid.crs or "", datum), "transform": grid.transform(), "nodata": np.nan if heights else NODATA,

@@ -5,7 +5,7 @@ between cell centres; GDAL gives rasters that are registered to points the edges
 Positions are PROJ's at nodes at most `_LATTICE` metres apart; between the nodes their error is below 2 mm."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -161,14 +161,14 @@ def resample(
     result = np.full(grid.shape, np.nan, np.float32)
     remarks: list[str] = []
     joined = [_joined(group, grid, elevation, remarks) for group in _groups(tiles)]
-    places = [_Places(grid, tile, datum, remarks) for tile, _ in joined]
+    places = [_places(grid, tile, datum, remarks) for tile, _ in joined]
     for strict in (True, False):  # beside unknown cells and at edges only where no other tile is whole
-        for (tile, values), place in zip(joined, places, strict=True):
+        for (tile, values), placed in zip(joined, places, strict=True):
             for row in range(0, grid.height, _ROWS):
                 part = result[row : row + _ROWS]
                 rows, cols = np.nonzero(np.isnan(part))
                 if rows.size:
-                    x, y, lift = place.at(rows + row, cols)
+                    x, y, lift = placed(rows + row, cols)
                     found = _bilinear(values, (tile.north - y) / tile.dy - 0.5, (x - tile.west) / tile.dx - 0.5, strict)
                     part[rows, cols] = found + lift
     if not np.isfinite(result).any():
@@ -240,33 +240,31 @@ def _read(tile: Tile, window: tuple[int, int, int, int], elevation: bool, remark
     return values
 
 
-class _Places:
-    """Position of the site's cells in a tile's CRS, and what to add to heights there."""
-
-    def __init__(self, grid: GridGeometry, tile: Tile, datum: Datum | None, remarks: list[str]) -> None:
-        step = max(1.0, _LATTICE / grid.resolution)
-        rows, cols = (np.linspace(0, n - 1, max(2, math.ceil((n - 1) / step) + 1)) for n in grid.shape)
-        self._steps = [(rows[1] - rows[0]) or 1.0, (cols[1] - cols[0]) or 1.0]
-        x, y = grid.to_map(*np.meshgrid(rows, cols, indexing="ij"))
-        way = Transformer.from_crs(grid.crs, tile.crs, always_xy=True)
-        if way.accuracy > 2:
-            remarks.append(f"{tile.path}: {tile.crs.name} is converted to {grid.crs} within {way.accuracy:g} m")
-        lift: Any = np.zeros(x.shape)
-        if tile.datum is not None and datum is not None:
-            try:
-                lift = correction(
-                    tile.datum, datum, *Transformer.from_crs(grid.crs, 4326, always_xy=True).transform(x, y)
-                )
-            except MissingGridError as error:
-                if error.metres > 1:
-                    raise
-                remarks.append(f"{tile.path}: {error}")
-        self._nodes = np.stack([*way.transform(x, y), lift])
-
-    def at(self, rows: Any, cols: Any) -> Float64Array:
-        """Return x, y and lift of cells, (3, N)."""
-        where = np.stack([rows / self._steps[0], cols / self._steps[1]])
-        return np.stack([map_coordinates(nodes, where, order=1, mode="nearest") for nodes in self._nodes])
+def _places(
+    grid: GridGeometry, tile: Tile, datum: Datum | None, remarks: list[str]
+) -> Callable[[Any, Any], Float64Array]:
+    """Return the function of rows and columns that gives the x and y of the site's cells in a tile's CRS, and what to
+    add to heights there, (3, N)."""
+    step = max(1.0, _LATTICE / grid.resolution)
+    rows, cols = (np.linspace(0, n - 1, max(2, math.ceil((n - 1) / step) + 1)) for n in grid.shape)
+    high, wide = (rows[1] - rows[0]) or 1.0, (cols[1] - cols[0]) or 1.0
+    x, y = grid.to_map(*np.meshgrid(rows, cols, indexing="ij"))
+    way = Transformer.from_crs(grid.crs, tile.crs, always_xy=True)
+    if way.accuracy > 2:
+        remarks.append(f"{tile.path}: {tile.crs.name} is converted to {grid.crs} within {way.accuracy:g} m")
+    lift: Any = np.zeros(x.shape)
+    if tile.datum is not None and datum is not None:
+        lonlat = Transformer.from_crs(grid.crs, 4326, always_xy=True).transform(x, y)
+        try:
+            lift = correction(tile.datum, datum, *lonlat)
+        except MissingGridError as error:
+            if error.metres > 1:
+                raise
+            remarks.append(f"{tile.path}: {error}")
+    nodes = [*way.transform(x, y), lift]
+    return lambda row, col: np.stack(
+        [map_coordinates(values, np.stack([row / high, col / wide]), order=1, mode="nearest") for values in nodes]
+    )
 
 
 def _bilinear(values: Float32Array, row: Float64Array, col: Float64Array, strict: bool) -> Float64Array:

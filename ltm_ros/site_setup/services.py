@@ -46,14 +46,18 @@ _LATITUDE_OF_ALASKA, _LONGITUDE_OF_HAWAII = 51.0, -150.0
 
 
 class WholeFileSource(Source):
-    """A source whose parts are whole files that the service makes for the area."""
+    """A source whose parts are whole files that the service makes for the area. `key_parameter`: the request passes the
+    key as this parameter, which is kept out of plans and messages."""
+
+    key_parameter = ""
 
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         files, used, done = [], [], 0
+        secret = {self.key_parameter: self.key} if self.key_parameter else {}
         check_room(folder, plan.expected_bytes)
         for part in plan.parts:
             within = shifted(progress, done, plan.expected_bytes)
-            path = self.web.download(part.url, self._secret(part), most=4 * part.expected_bytes, progress=within)
+            path = self.web.download(part.url, secret, most=4 * part.expected_bytes, progress=within)
             try:
                 with open_raster(path, driver="GTiff") as source:
                     unknown = read_band(source, 1)[1].all()
@@ -71,13 +75,11 @@ class WholeFileSource(Source):
             raise NoCoverageError(f"{self.name}: every cell of the area is unknown; choose another source")
         return self._fetched(plan, files, used)
 
-    def _secret(self, part: Part) -> dict[str, str]:
-        """Return the parameters that are kept out of plans and messages."""
-        return {}
-
 
 class OpenTopographySource(WholeFileSource):
     """The global and USGS elevation APIs of OpenTopography."""
+
+    key_parameter = "API_Key"
 
     def _planned(self, area: Area) -> Plan:
         west, south, east, north = area.padded(4 * self.resolution_m).bounds_lonlat
@@ -85,9 +87,6 @@ class OpenTopographySource(WholeFileSource):
         url = f"{self.address}{'&' if '?' in self.address else '?'}{bounds}&outputFormat=GTiff"
         cells = (east - west) * (north - south) * (METRES_PER_DEGREE / self.resolution_m) ** 2
         return Plan(area, (Part(url, f"{self.name}.tif", round(4 * cells) + (1 << 16)),), (), self.year)
-
-    def _secret(self, part: Part) -> dict[str, str]:
-        return {"API_Key": self.key}
 
 
 class CoverageSource(WholeFileSource):

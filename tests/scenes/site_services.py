@@ -145,9 +145,7 @@ class SiteServices:
             west, south, east, north = transform_bounds(source.crs, "EPSG:4326", *source.bounds)
         self.products.append(
             {
-                "title": f"USGS 1 Meter {name}",
                 "downloadURL": f"{self.url}/cog/{name}",
-                "sizeInBytes": len(content),
                 "publicationDate": date,
                 "boundingBox": {"minX": west, "minY": south, "maxX": east, "maxY": north},
             }

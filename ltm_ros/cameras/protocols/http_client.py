@@ -28,6 +28,7 @@ WHOLE_FACTOR = 3
 KEEP_S = 75.0
 """Seconds for which a connection is kept, enough for one snapshot per minute."""
 
+Headers = Mapping[str, str]
 
 # They log each request's URL at INFO, which may contain a password.
 for _name in ("httpx", "httpcore"):
@@ -39,7 +40,7 @@ class HttpResponse:
     """`asked`, `arrived`: monotonic seconds of the request and of the answer's header."""
 
     status: int
-    headers: Mapping[str, str]
+    headers: Headers
     body: bytes
     asked: float
     arrived: float
@@ -77,11 +78,7 @@ class HttpClient:
         self._client.close()
 
     def get(
-        self,
-        url: str,
-        headers: Mapping[str, str] | None = None,
-        post: bytes | None = None,
-        accepted: Collection[int] = TAKEN,
+        self, url: str, headers: Headers | None = None, post: bytes | None = None, accepted: Collection[int] = TAKEN
     ) -> HttpResponse:
         """Return the whole answer to a GET, or to a POST of `post`. `accepted`: statuses that are no errors. Raises
         SourceError, UnauthorisedError, PictureError if it is too large."""
@@ -105,11 +102,7 @@ class HttpClient:
 
     @contextlib.contextmanager
     def stream(
-        self,
-        url: str,
-        headers: Mapping[str, str] | None = None,
-        post: bytes | None = None,
-        accepted: Collection[int] = TAKEN,
+        self, url: str, headers: Headers | None = None, post: bytes | None = None, accepted: Collection[int] = TAKEN
     ) -> Iterator[tuple[httpx.Response, float, float]]:
         """Yield an answer whose body is still to come, with the times of the request and of its header. Raises as
         `get`."""
@@ -193,7 +186,7 @@ _REMEDIES = {
 """What to do about an error of TLS, by its text."""
 
 
-def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:
+def http_time(headers: Headers, name: str) -> CameraTime | None:
     """Return a time from a header; None if missing or invalid. Whole seconds, as in RFC 9110."""
     try:
         return CameraTime(parsedate_to_datetime(headers[name]).timestamp(), 1.0, name.lower())

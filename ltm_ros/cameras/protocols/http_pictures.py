@@ -3,7 +3,7 @@
 import contextlib
 import re
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import httpx
 
@@ -107,7 +107,8 @@ class MjpegReader:
         if not body.startswith(_BEGIN):
             raise PictureError(f"a part of the stream with {len(body)} bytes is not a JPEG")
         self._due = arrived + self._every
-        return CameraImage(timing_of(head, arrived), jpeg=body)
+        stream = stated_number(head.get("x-timestamp"))  # some cameras count seconds there
+        return CameraImage(Timing(arrived, oldest=_OLDEST_S, stream=stream), jpeg=body)
 
     def close(self) -> None:
         with contextlib.suppress(SourceError):
@@ -191,11 +192,6 @@ class PartSplitter:
 _BLANK = re.compile(rb"\n\r?\n")
 _FIRST_BYTES = 1024
 _FIRST_LINE = re.compile(rb"[\r\n]{0,16}([^\r\n]{1,200})\r?\n")
-
-
-def timing_of(head: Mapping[str, str], arrived: float) -> Timing:
-    """Return the timing of a part from its header; some cameras count seconds there."""
-    return Timing(arrived=arrived, oldest=_OLDEST_S, stream=stated_number(head.get("x-timestamp")))
 
 
 def _declared_boundary(response: httpx.Response) -> bytes:

@@ -119,10 +119,6 @@ def _raising(error: Exception) -> None:
             ModuleNotFoundError("No module named 'rerun'", name="rerun.blueprint"),
             "ltm: needs rerun.blueprint: pip install 'ltm[view]', or see `ltm doctor`\n",
         ),
-        (
-            ModuleNotFoundError("No module named 'rerun'", name="rerun"),
-            "ltm: needs rerun: pip install 'ltm[view]'",
-        ),
     ],
 )
 def test_what_a_user_can_mend(
