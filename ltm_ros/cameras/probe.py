@@ -203,16 +203,12 @@ def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
 SNAPSHOT_EVERY_S = 10.0
 
 
-def site_entry(
-    found: Found,
-    user: str | None,
-    password: SecretConfig | None,
-    placed: dict[str, Any],
-    pitch: float,
-    hfov: float | None,
-) -> dict[str, Any]:
-    """Return the sections source, ptz, mount or pose, and calibration, as far as known. `placed`: the keys of position
-    and azimuth."""
+PLACE = ("lon", "lat", "height_above_ground", "azimuth_deg")
+
+
+def site_entry(found: Found, user: str | None, password: SecretConfig | None, stated: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections source, ptz, mount or pose, and calibration, as far as known. `stated`: PLACE, pitch_deg and
+    hfov_deg, which a camera cannot report itself; None: unknown."""
     entry: dict[str, Any] = {}
     if found.source is not None:
         entry["source"] = dict(found.source)
@@ -222,7 +218,8 @@ def site_entry(
             entry["source"]["user"] = user
         if password is not None:
             entry["source"]["password"] = password.model_dump(mode="json", exclude_none=True)
-    where = {} if None in placed.values() else placed
+    hfov, placed = stated["hfov_deg"], all(stated[name] is not None for name in PLACE)
+    where = {name: stated[name] for name in PLACE if placed}
     size = {} if found.size is None else dict(zip(("width", "height"), found.size, strict=True))
     if found.ptz is not None:
         entry["ptz"], kind = dict(found.ptz[0]), found.ptz[0]["kind"]
@@ -232,7 +229,7 @@ def site_entry(
                 # The lens table of ALERTCalifornia's Axis cameras, until this lens is calibrated.
                 entry["mount"]["lens"] = size
     elif where:
-        entry["pose"] = where | {"pitch_deg": pitch}
+        entry["pose"] = where | {"pitch_deg": stated["pitch_deg"]}
     if size and hfov is not None:
         entry["calibration"] = size | {"hfov_deg": hfov}
     return entry

@@ -22,7 +22,7 @@ from ltm_core.tracing.trace_io import write_pose_file
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.cameras.camera_source import Frame
 from ltm_ros.cameras.opening import source_of
-from ltm_ros.cameras.probe import Found, completed, lacking, site_entry
+from ltm_ros.cameras.probe import PLACE, Found, completed, lacking, site_entry
 from ltm_ros.cameras.probe import probe as ask
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cli.output import Overwrite, Row, command_group, numbers, print_table, say, warn, working
@@ -80,8 +80,8 @@ def probe(
         raise ConfigError(
             f"{address}: found neither an image nor a PTZ head:\n" + "\n".join(f"  {w}: {t}" for w, t in found.tried)
         )
-    place = {"lon": lon, "lat": lat, "height_above_ground": height, "azimuth_deg": azimuth}
-    entry = completed(present, site_entry(found, user, kept, place, pitch, hfov))
+    stated = dict(zip((*PLACE, "pitch_deg", "hfov_deg"), (lon, lat, height, azimuth, pitch, hfov), strict=True))
+    entry = completed(present, site_entry(found, user, kept, stated))
     missing = lacking({**present, **entry})
     typer.echo(dumped({"cameras": {camera or "north": entry}}).rstrip())
     for what in missing:
