@@ -195,12 +195,12 @@ def section(camera: CameraValues, datum: Datum | None) -> tuple[dict[str, Any], 
         place["height_above_ground"] = camera.height
     else:
         lift = 0.0
-        if camera.datum and datum is None:
-            raise ConfigError(
-                f"camera {camera.name}: z is above {camera.datum}, but the DEM states no vertical datum; state the "
-                "DEM's (rio edit-info --crs EPSG:CODE+5703), or give height above the ground"
-            )
-        if camera.datum and datum is not None:
+        if camera.datum:
+            if datum is None:
+                raise ConfigError(
+                    f"camera {camera.name}: z is above {camera.datum}, but the DEM states no vertical datum; state the "
+                    "DEM's (rio edit-info --crs EPSG:CODE+5703), or give height above the ground"
+                )
             lift = correction(named_datum(camera.datum), datum, np.array([camera.lon]), np.array([camera.lat])).item()
         place["z"] = round(camera.z + lift, 3)
     if camera.listed:

@@ -70,12 +70,10 @@ def write_dem(
 
     Raises RasterError as `overlapping` and `resample` do, OSError if the file cannot be written."""
     there = overlapping(tiles, bounds, crs)
-    wanted, boxes = (
-        bounds,
-        [Transformer.from_crs(t.crs, crs, always_xy=True).transform_bounds(*t.bounds) for t in there],
-    )
-    low, high = np.maximum(wanted, np.min(boxes, axis=0)).tolist(), np.minimum(wanted, np.max(boxes, axis=0)).tolist()
-    bounds = low[0], low[1], high[2], high[3]  # as far as the box around all tiles reaches
+    boxes = [Transformer.from_crs(tile.crs, crs, always_xy=True).transform_bounds(*tile.bounds) for tile in there]
+    west, south, _, _ = np.maximum(bounds, np.min(boxes, axis=0)).tolist()
+    _, _, east, north = np.minimum(bounds, np.max(boxes, axis=0)).tolist()
+    wanted, bounds = bounds, (west, south, east, north)  # as far as the box around all tiles reaches
     size = max(least, site_resolution(there, max(bounds[2] - bounds[0], bounds[3] - bounds[1]), _MOST_PER_SIDE))
     grid = grid_over(bounds, size, there, crs)
     heights, found = resample(there, grid, datum)
@@ -168,7 +166,7 @@ def _write(
     path: Path, values: NDArray[Any], grid: GridGeometry, data: Fetched, datum: Datum | None = None, how: str = ""
 ) -> None:
     """Write heights (floats, above `datum`) or a band of the fuel map as a cloud-optimised GeoTIFF with provenance.
-    `how`: it was resampled."""
+    `how`: of the resampling."""
     import rasterio
     import rasterio.shutil
     from rasterio.io import MemoryFile
