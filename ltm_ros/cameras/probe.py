@@ -17,11 +17,10 @@ from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.exposure import OffsetBounds
 from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, picture_in
-from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzHead, PtzReading
+from ltm_ros.cameras.protocols.picture import CameraImage, CameraReader, PtzReading
 from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.head import host_of, with_configured_host
-from ltm_ros.cameras.ptz.makers import open_ptz
-from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
+from ltm_ros.cameras.ptz.makers import OnvifPtzHead, open_ptz
 
 MOST_BYTES = 32 << 20
 LISTENS_S = 4.0
@@ -56,8 +55,8 @@ class Found:
     seconds_each: float | None = None
     fresh: bool | None = None
     """Whether two requests a moment apart returned different images."""
-    clock_ahead_s: float | None = None
-    clock_known_to_s: float | None = None
+    clock_ahead_s: tuple[float, float] | None = None
+    """Seconds by which the camera's clock is ahead of ours, and their uncertainty."""
     ptz: tuple[dict[str, Any], PtzReading] | None = None
     """Section of the PTZ head in a site file, and its direction."""
     stated: tuple[str, ...] = ()
@@ -164,7 +163,7 @@ def _stream(found: Found, reader: CameraReader) -> str:
                 found.size, found.bytes_each = picture_size(picture.jpeg), len(picture.jpeg)
             if picture.timing.taken is not None:
                 now = time.time() - (time.monotonic() - picture.timing.arrived)
-                found.clock_ahead_s, found.clock_known_to_s = picture.timing.taken.epoch - now, 0.5
+                found.clock_ahead_s = picture.timing.taken.epoch - now, 0.5
     finally:
         reader.close()
     if not arrivals:
@@ -183,15 +182,16 @@ def _clock_of(found: Found, answers: list[HttpResponse]) -> None:
         bounds.add(stated.epoch - answer.arrived, stated.epoch + stated.resolution - answer.asked, answer.arrived)
     low, high = bounds.at(answers[-1].arrived)
     ours = time.time() - time.monotonic()
-    found.clock_ahead_s, found.clock_known_to_s = (low + high) / 2 - ours, (high - low) / 2
+    found.clock_ahead_s = (low + high) / 2 - ours, (high - low) / 2
 
 
 def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
-    adapter: TypeAdapter[Any] = TypeAdapter(PtzConfig)
-    ptz: PtzHead = open_ptz(adapter.validate_python(given | web), None)
+    config: PtzConfig = TypeAdapter(PtzConfig).validate_python(given | web)
+    ptz = open_ptz(config, None)
     try:
         if isinstance(ptz, OnvifPtzHead):
-            found.clock_ahead_s, found.clock_known_to_s = ptz.soap.clock_ahead(), 0.5
+            ahead = ptz.soap.clock_ahead()
+            found.clock_ahead_s = None if ahead is None else (ahead, 0.5)
             found.stated = tuple(filter(None, ptz.picture_addresses()))
         reading = ptz.read()
     finally:
@@ -203,20 +203,12 @@ def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
 SNAPSHOT_EVERY_S = 10.0
 
 
-@dataclass(frozen=True)
-class Placing:
-    """What a camera cannot report itself."""
-
-    lon: float | None = None
-    lat: float | None = None
-    height_above_ground: float | None = None
-    azimuth_deg: float | None = None
-    pitch_deg: float = 0.0
-    hfov_deg: float | None = None
+PLACE = ("lon", "lat", "height_above_ground", "azimuth_deg")
 
 
-def site_entry(found: Found, user: str | None, password: SecretConfig | None, placing: Placing) -> dict[str, Any]:
-    """Return the sections source, ptz, mount or pose, and calibration, as far as known."""
+def site_entry(found: Found, user: str | None, password: SecretConfig | None, stated: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections source, ptz, mount or pose, and calibration, as far as known. `stated`: PLACE, pitch_deg and
+    hfov_deg, which a camera cannot report itself; None: unknown."""
     entry: dict[str, Any] = {}
     if found.source is not None:
         entry["source"] = dict(found.source)
@@ -226,21 +218,20 @@ def site_entry(found: Found, user: str | None, password: SecretConfig | None, pl
             entry["source"]["user"] = user
         if password is not None:
             entry["source"]["password"] = password.model_dump(mode="json", exclude_none=True)
-    known = placing.lon is not None and placing.height_above_ground is not None and placing.azimuth_deg is not None
-    names = ("lon", "lat", "height_above_ground", "azimuth_deg") if known else ()
-    where: dict[str, Any] = {name: getattr(placing, name) for name in names}
+    hfov, placed = stated["hfov_deg"], all(stated[name] is not None for name in PLACE)
+    where = {name: stated[name] for name in PLACE if placed}
     size = {} if found.size is None else dict(zip(("width", "height"), found.size, strict=True))
     if found.ptz is not None:
         entry["ptz"], kind = dict(found.ptz[0]), found.ptz[0]["kind"]
         if size:
             entry["mount"] = where | ({"tilt_sign": -1} if kind == "isapi" else {})
-            if kind == "vapix" and placing.hfov_deg is None:
+            if kind == "vapix" and hfov is None:
                 # The lens table of ALERTCalifornia's Axis cameras, until this lens is calibrated.
                 entry["mount"]["lens"] = size
     elif where:
-        entry["pose"] = where | {"pitch_deg": placing.pitch_deg}
-    if size and placing.hfov_deg is not None:
-        entry["calibration"] = size | {"hfov_deg": placing.hfov_deg}
+        entry["pose"] = where | {"pitch_deg": stated["pitch_deg"]}
+    if size and hfov is not None:
+        entry["calibration"] = size | {"hfov_deg": hfov}
     return entry
 
 

@@ -22,10 +22,10 @@ from ltm_core.tracing.trace_io import write_pose_file
 from ltm_msgs_py.image import encode_rgb
 from ltm_ros.cameras.camera_source import Frame
 from ltm_ros.cameras.opening import source_of
-from ltm_ros.cameras.probe import Found, Placing, completed, lacking, site_entry
+from ltm_ros.cameras.probe import PLACE, Found, completed, lacking, site_entry
 from ltm_ros.cameras.probe import probe as ask
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
-from ltm_ros.cli.output import Cell, Overwrite, Row, command_group, numbers, print_table, say, warn, working
+from ltm_ros.cli.output import Overwrite, Row, command_group, numbers, print_table, say, warn, working
 from ltm_ros.runtime.health import Health
 
 PROMPTED = "LTM_CAMERA_PASSWORD"
@@ -80,7 +80,8 @@ def probe(
         raise ConfigError(
             f"{address}: found neither an image nor a PTZ head:\n" + "\n".join(f"  {w}: {t}" for w, t in found.tried)
         )
-    entry = completed(present, site_entry(found, user, kept, Placing(lon, lat, height, azimuth, pitch, hfov)))
+    stated = dict(zip((*PLACE, "pitch_deg", "hfov_deg"), (lon, lat, height, azimuth, pitch, hfov), strict=True))
+    entry = completed(present, site_entry(found, user, kept, stated))
     missing = lacking({**present, **entry})
     typer.echo(dumped({"cameras": {camera or "north": entry}}).rstrip())
     for what in missing:
@@ -203,9 +204,9 @@ def _secret(
 def _print_found(found: Found) -> None:
     rows: list[Row] = []
 
-    def row(what: str, told: str) -> None:
+    def row(what: str, told: str, style: str = "", style_of_name: str = "") -> None:
         """Add a row, without the control characters that a camera may have written."""
-        rows.append((what, plain(told)))
+        rows.append(((style_of_name, plain(what)), (style, plain(told))))
 
     if found.source is not None:
         row("images", f"{found.source['kind']} at {found.source['url']}")
@@ -213,22 +214,20 @@ def _print_found(found: Found) -> None:
         row("reported address", redacted(address))
     if found.size is not None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
-        rows.append(("size", f"{found.size[0]} x {found.size[1]} pixels{each}"))
+        row("size", f"{found.size[0]} x {found.size[1]} pixels{each}")
     if found.rate_hz is not None:
-        rows.append(("rate", f"{found.rate_hz:.1f} images per second"))
+        row("rate", f"{found.rate_hz:.1f} images per second")
     if found.seconds_each is not None:
-        told = f"{found.seconds_each:.2f} s, {'a new' if found.fresh else 'the same'} image each time"
-        shown: Cell = told if found.fresh else ("yellow", told)
-        rows.append(("response time", shown))
+        which, style = ("a new", "") if found.fresh else ("the same", "yellow")
+        row("response time", f"{found.seconds_each:.2f} s, {which} image each time", style)
     if found.clock_ahead_s is not None:
-        known = f" +- {found.clock_known_to_s:.1f} s" if found.clock_known_to_s is not None else ""
-        rows.append(("clock ahead of ours by", f"{found.clock_ahead_s:+.1f}{known}"))
+        row("clock ahead of ours by", "{:+.1f} +- {:.1f} s".format(*found.clock_ahead_s))
     if found.ptz is not None:
         ptz, reading = found.ptz
         row("PTZ protocol", " ".join(str(value) for value in ptz.values()))
-        rows.append(("pan", f"{reading.pan_deg:.2f} deg"))
-        rows.append(("tilt", f"{reading.tilt_deg:.2f} deg"))
-        rows.append(("zoom", f"{reading.zoom:g}"))
+        row("pan", f"{reading.pan_deg:.2f} deg")
+        row("tilt", f"{reading.tilt_deg:.2f} deg")
+        row("zoom", f"{reading.zoom:g}")
     for what, told in found.tried:
-        rows.append((("dim", f"request: {plain(what)}"), ("dim", plain(told))))
+        row(f"request: {what}", told, "dim", "dim")
     print_table("camera", ("what", "found"), rows)

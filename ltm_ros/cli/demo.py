@@ -52,12 +52,12 @@ def clear_demo(out: Path) -> None:
 
 
 def _score_rows(scored: RunScore) -> list[tuple[str, str]]:
-    rows = []
-    for row in scored.depth:
-        if row.against == "visible surface":
-            for score in row.scores:
-                if score.pixels:
-                    rows.append((f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m"))
+    rows = [
+        (f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m")
+        for row in scored.depth
+        for score in row.scores
+        if row.against == "visible surface" and score.pixels
+    ]
     if scored.labels is not None:
         rows.append(("correct labels", f"{100 * scored.labels.accuracy:.1f} %"))
     if (fuel := scored.fuel) is not None:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from pyproj import Geod
@@ -17,8 +17,8 @@ from ltm_core.base.errors import ConfigError
 from ltm_ros.cli.check import report
 from ltm_ros.cli.output import numbers, print_table, progress_bar, say, warn, working
 from ltm_ros.site_setup.camera_list import CameraValues, parse_camera, read_cameras
+from ltm_ros.site_setup.request import Kind
 from ltm_ros.site_setup.site_plan import SitePlan, Wish, carry_out, plan_site
-from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import load_sources
 
 _ASK_FROM = 500_000_000
@@ -41,14 +41,19 @@ def init(
     fuel: Annotated[Path | None, Option(help="Own fuel map: landscape, raster of codes, or folder.")] = None,
     surface: Annotated[Path | None, Option(help="Own raster of tree tops and roofs, or of canopy height.")] = None,
     sources: Annotated[str | None, Option(help="File with other data sources (YAML), or `list` to print them.")] = None,
-    update: Annotated[Literal["dem", "coarser", "surface", "fuel"] | None, Option(help="Raster to replace.")] = None,
+    update: Annotated[Kind | None, Option(help="Raster to replace.")] = None,
     dry_run: Annotated[bool, Option("--dry-run", help="Print what would be fetched, and stop.")] = False,
     yes: Annotated[bool, Option("--yes", "-y", help="Fetch more than 500 MB without asking.")] = False,
 ) -> None:
     """Make a site: fetch terrain and fuel, write rasters, site.yaml and a check picture. Or add to an existing one."""
     known = load_sources(Path(sources) if sources not in (None, "list") else None)
     if sources == "list":
-        _print_sources(known)
+        rows = [
+            (s.name, ", ".join(s.kinds), f"{s.resolution_m:g} m", s.vertical_crs or "", s.licence, s.address)
+            for s in known
+        ]
+        columns = ("name", "delivers", "cells", "heights", "licence", "address")
+        print_table("sources, preferred ones first", columns, rows)
         return
     if out is None:
         raise ConfigError("give the folder of the site with --out")
@@ -123,22 +128,15 @@ def _cameras(
     return cameras + near, remarks
 
 
-def _print_sources(sources: list[Source]) -> None:
+def _print_plan(site: SitePlan) -> None:
     rows = []
-    for s in sources:
-        cells = f"{s.resolution_m:g} m"
-        rows.append((s.name, ", ".join(s.kinds), cells, s.vertical_crs or "", s.licence, s.address))
-    print_table("sources, preferred ones first", ("name", "delivers", "cells", "heights", "licence", "address"), rows)
-
-
-def _print_plan(plan: SitePlan) -> None:
-    rows = []
-    for step in plan.steps:
-        if step.source is None or step.plan is None:
+    for step in site.steps:
+        if step.choice is None:
             rows.append((step.key, ", ".join(map(str, step.own)), "", "", "", ""))
         else:
-            source, year, size = step.source, step.plan.year, f"{step.plan.expected_bytes / 1e6:.1f} MB"
+            source, plan = step.choice.source, step.choice.plan
+            year, size = plan.year, f"{plan.expected_bytes / 1e6:.1f} MB"
             cells = f"{source.resolution_m:g} m"
             rows.append((step.key, source.name, cells, "" if year is None else str(year), size, source.licence))
-    total = f"{plan.crs}; {plan.expected_bytes / 1e6:.1f} MB to fetch"
+    total = f"{site.crs}; {site.expected_bytes / 1e6:.1f} MB to fetch"
     print_table(total, ("raster", "source", ">cells", ">year", ">size", "licence"), rows)

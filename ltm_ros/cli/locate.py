@@ -24,8 +24,9 @@ from ltm_core.locating.answer import (
     view_data,
 )
 from ltm_core.locating.locator import Locator, write_posterior
-from ltm_core.pictures import MapCamera, to_png
+from ltm_core.pictures import to_png
 from ltm_core.pictures.locating import location_picture, places_picture
+from ltm_core.pictures.trace import map_camera
 from ltm_core.storage.disk_io import require_files
 from ltm_core.tracing.trace_io import read_photo
 from ltm_core.visibility.point_visibility import PointState
@@ -106,11 +107,7 @@ def _show_marks(
 
 
 def _picture(scene: Scene, said: LocateResult, marked_by: list[str]) -> Any:
-    cameras = []
-    for name in marked_by:
-        camera = scene.camera(name)
-        x, y, _ = (float(v) for v in camera.pose.position)
-        cameras.append(MapCamera(name, camera.camera, (x, y), camera.pose.angles_deg[0]))
+    cameras = [map_camera(scene.camera(name)) for name in marked_by]
     ellipses = [(f"{share:.0%}", ellipse) for share, ellipse in zip(SHARES, said.ellipses, strict=True)]
     place = said.name
     heading = (

@@ -20,7 +20,7 @@ from ltm_core.vision.areas import NamedArea, polygons_of, read_areas, write_area
 from ltm_core.vision.labels import LabelSet
 from ltm_core.vision.manifest import DEFAULT_MODEL
 from ltm_core.vision.mask_config import ViewMask
-from ltm_core.vision.mask_proposals import MOST_FRAMES, Proposal, drawn_proposals, propose_mask
+from ltm_core.vision.mask_proposals import MOST_FRAMES, drawn_proposals, propose_mask
 from ltm_core.vision.masks import write_mask
 from ltm_core.vision.segmenter import Segmenter
 from ltm_ros.cli.output import Overwrite, numbers, print_table, say
@@ -99,7 +99,12 @@ def mask(
         return
     hidden = np.logical_or.reduce([proposal.hidden for _, proposal in chosen])
     write_mask(target, hidden)
-    write_areas(beside[0], _areas(names[0], chosen))
+    areas = [
+        NamedArea(image=names[0], kind=proposal.kind, polygon=polygon, number=number, reason=proposal.reason)
+        for number, proposal in chosen
+        for polygon in polygons_of(proposal.hidden)
+    ]
+    write_areas(beside[0], areas)
     say(f"{target}: {hidden.mean():.1%} of the image\n  {beside[0]}")
     if keep:
         typer.echo(f"cameras:\n  {camera or 'CAMERA'}:\n{_line(_below(target, site), turned)}")
@@ -139,14 +144,6 @@ def _kept(keep: str, count: int) -> list[bool]:
     if unknown:
         raise ConfigError(f"--keep {keep}: there is no proposal {unknown[0]}; there are {count}")
     return [number in numbers for number in range(1, count + 1)]
-
-
-def _areas(image: str, chosen: list[tuple[int, Proposal]]) -> list[NamedArea]:
-    return [
-        NamedArea(image=image, kind=proposal.kind, polygon=polygon, number=number, reason=proposal.reason)
-        for number, proposal in chosen
-        for polygon in polygons_of(proposal.hidden)
-    ]
 
 
 def _below(target: Path, site: Path | None) -> str:

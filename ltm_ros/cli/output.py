@@ -24,10 +24,9 @@ Row = Sequence[Cell]
 
 
 Overwrite = Annotated[bool, Option("--overwrite", help="Overwrite existing files.")]
-Dems = Annotated[list[Path], Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")]
-OptionalDems = Annotated[
-    list[Path] | None, Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
-]
+_DEM = Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
+Dems = Annotated[list[Path], _DEM]
+OptionalDems = Annotated[list[Path] | None, _DEM]
 Crs = Annotated[str | None, Option(help="CRS of a raster that states none, such as EPSG:32611.")]
 Domain = Annotated[int | None, Option(min=0, max=232, help="ROS domain. Default: ROS_DOMAIN_ID, else 0.")]
 OnlyCameras = Annotated[list[str] | None, Option(help="Use only this camera. Repeatable.")]
@@ -165,14 +164,9 @@ def print_nodes(rows: "Sequence[NodeRow]") -> None:
     say("in, out: frames; p50, p95: latency since capture; work: median time in the node")
 
 
-def print_outcome(summaries: Mapping[str, Mapping[str, str]]) -> None:
-    """Print the results of a replay: verdicts on depth, cells seen and changed, events."""
-    if said := outcome(summaries):
-        print_table("results", ("", ""), said)
-
-
 def outcome(summaries: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:
-    """Return rows (what, how much) from the key -> value texts of the nodes' diagnostics."""
+    """Return the results of a replay as rows (what, how much): verdicts on depth, cells seen and changed, events. They
+    are in the key -> value texts of the nodes' diagnostics."""
     rows = []
     for name, summary in sorted(summaries.items()):
         counts = {key: int(value) for key, value in summary.items() if key.startswith(("noted.", "cells."))}

@@ -17,8 +17,8 @@ from ltm_ros.cli.output import (
     Domain,
     Overwrite,
     Row,
+    outcome,
     print_nodes,
-    print_outcome,
     print_table,
     progress_bar,
     say,
@@ -115,7 +115,8 @@ def replay(
             with stop_on_signals(stopping):
                 summaries = run_live(bag, site, options, progress, say, stopping.is_set)
     print_nodes(node_rows(summaries))
-    print_outcome(summaries)
+    if results := outcome(summaries):
+        print_table("results", ("", ""), results)
     if not stopping.is_set():
         require_frames(bag, checked, summaries, names)
     say(f"fuel map: {out / 'fuel_map.tif'}")

@@ -7,7 +7,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from ltm_core.base.errors import ArchiveError
-from ltm_ros.archive.run import ArchiveOptions, Plan, Summary, look_through, run
+from ltm_ros.archive.run import ArchiveOptions, Plan, look_through, run
 from ltm_ros.archive.sampling import Sample
 from ltm_ros.archive.task import on_workers, serial
 from ltm_ros.cli.output import print_table, progress_bar, say
@@ -48,7 +48,14 @@ def reprocess(
         return
     with progress_bar("working") as progress:
         summary = run(planned, on_workers(workers) if workers else serial, progress)
-    _print(summary, out)
+    merged = f"{summary.worked} frames processed now, {summary.merged} in the map, {summary.failed} failed"
+    say(f"{merged}; {summary.tasks} tasks")
+    for reason, count in sorted(summary.unused.items()):
+        say(f"{count} not used: {reason}")
+    for failure in summary.failures[:20]:
+        say(f"{failure.place}: {failure.count} x {failure.cause}: {failure.why}")
+    if summary.digest:
+        say(f"fuel map: {out}/fuel_map.ltm, digest {summary.digest}")
 
 
 def _print_dry_run(planned: Plan) -> None:
@@ -68,19 +75,6 @@ def _print_dry_run(planned: Plan) -> None:
     told = "; ".join(one.why for one in failures)
     if lost := [*lost, *(("", "damage", "", note) for note in manifest.damage if note not in told)]:
         print_table("not used", ("camera", "cause", ">frames", "first reason"), lost)
-
-
-def _print(summary: Summary, out: Path) -> None:
-    say(
-        f"{summary.worked} frames processed now, {summary.merged} in the map, {summary.failed} failed; "
-        f"{summary.tasks} tasks"
-    )
-    for reason, count in sorted(summary.unused.items()):
-        say(f"{count} not used: {reason}")
-    for failure in summary.failures[:20]:
-        say(f"{failure.place}: {failure.count} x {failure.cause}: {failure.why}")
-    if summary.digest:
-        say(f"fuel map: {out}/fuel_map.ltm, digest {summary.digest}")
 
 
 def _share(text: str) -> float:

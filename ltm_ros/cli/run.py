@@ -3,7 +3,6 @@
 Each function imports what it needs: `run` must stay small in memory, and the others need extras."""
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -103,7 +102,11 @@ def run(
     )
     typer.echo(f"-- {config.name}: {len(graph)} nodes in {len(graph.processes)} processes; Ctrl-C stops them")
     if view:
-        typer.echo(f"-- live view (available once the nodes run): {_address(graph.node('viewer').parameters)}")
+        from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, web_url
+
+        given = graph.node("viewer").parameters  # its ports may be in the site file
+        web, grpc = (int(str(given.get(*port))) for port in (("web_port", WEB_PORT), ("grpc_port", GRPC_PORT)))
+        typer.echo(f"-- live view (available once the nodes run): {web_url(web, grpc)}")
     if config.health is not None:
         scheme = "https" if config.health.certificate else "http"
         typer.echo(f"-- health and status page: {scheme}://{config.health.address}:{config.health.port}")
@@ -113,11 +116,3 @@ def run(
     # Written without echo: a closed console is not an error of the run.
     print_line(f"-- {config.name} has ended")
     raise typer.Exit(status)
-
-
-def _address(viewer: "Mapping[str, ParameterValue]") -> str:
-    """Return the address of the viewer node's page; its ports may be in the site file."""
-    from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, web_url
-
-    web, grpc = (int(str(viewer.get(*port))) for port in (("web_port", WEB_PORT), ("grpc_port", GRPC_PORT)))
-    return web_url(web, grpc)

@@ -145,12 +145,10 @@ def _of_site(site: Site, poses: Sequence[str]) -> Scene:
     return Scene(ground, sight, site.frame, site.bend, cameras, skipped, site)
 
 
-def _placed(
-    stated: Mapping[str, tuple[CalibrationConfig | None, PoseConfig | None]],
-    dem: Dem,
-    frame: SiteFrame,
-    assumed: PoseErrorConfig,
-) -> dict[str, ScenedCamera]:
+_Stated = Mapping[str, tuple[CalibrationConfig | None, PoseConfig | None]]
+
+
+def _placed(stated: _Stated, dem: Dem, frame: SiteFrame, assumed: PoseErrorConfig) -> dict[str, ScenedCamera]:
     """Return the cameras that have both a calibration and a pose. `assumed`: errors of poses that state none."""
     cameras = {}
     for name, (calibration, config) in stated.items():

@@ -53,20 +53,10 @@ def _print_status(said: Mapping[str, Any]) -> None:
     cameras = []
     for one in said["cameras"]:
         dropped = ", ".join(f"{cause} {count}" for cause, count in sorted(one["dropped"].items()))
-        cameras.append(
-            (
-                one["name"],
-                one["state"],
-                f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}",
-                _seconds(one["frame_age_s"], " ago"),
-                str(one["frames_in"]),
-                str(one["finished"]),
-                dropped,
-                _seconds(one["latency_s"]),
-                one["pose"],
-                one["why"],
-            )
-        )
+        since = f"{datetime.fromtimestamp(one['since_s'], UTC):%m-%d %H:%M:%S}"
+        newest, latency = _seconds(one["frame_age_s"], " ago"), _seconds(one["latency_s"])
+        frames = str(one["frames_in"]), str(one["finished"])
+        cameras.append((one["name"], one["state"], since, newest, *frames, dropped, latency, one["pose"], one["why"]))
     nodes = []
     for one in said["nodes"]:
         work = one["values"].get("work_p95_ms")

@@ -44,7 +44,12 @@ def view(
     if connect is not None:
         if save is not None:
             raise ConfigError("--connect shows a page: remove --save")
-        _show_tower(connect, token, certificate, open_browser, web_port)
+        if error := bind_error("127.0.0.1", web_port):
+            raise ConfigError(
+                f"port {web_port} on 127.0.0.1 is in use ({error.strerror}): give another with --web-port"
+            )
+        with reached(connect, token, certificate) as reach, closing(TowerMirror(reach, web_port)) as mirror:
+            _watch(mirror.url, open_browser, lambda: True)
         return
     if token is not None or certificate is not None:
         raise ConfigError("--token and --certificate identify a tower: give --connect, too")
@@ -62,13 +67,6 @@ def view(
             _watch(web_url(web_port, grpc_port), open_browser, server.running)
         finally:
             server.stop()
-
-
-def _show_tower(tower: str, token: Path | None, certificate: Path | None, open_browser: bool, web_port: int) -> None:
-    if error := bind_error("127.0.0.1", web_port):
-        raise ConfigError(f"port {web_port} on 127.0.0.1 is in use ({error.strerror}): give another with --web-port")
-    with reached(tower, token, certificate) as reach, closing(TowerMirror(reach, web_port)) as mirror:
-        _watch(mirror.url, open_browser, lambda: True)
 
 
 def _show_graph(path: Path, save: Path | None, open_browser: bool, web_port: int, grpc_port: int) -> None:

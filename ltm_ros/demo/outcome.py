@@ -1,6 +1,7 @@
 """Make the pictures of a demonstration run."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.fuel_maps import FuelCanvas, change_sheet, coverage_sheet, fuel_sheet
 from ltm_core.pictures.legend import UNLABELLED
 from ltm_core.pictures.maps import interesting_bounds
+from ltm_core.pictures.trace import map_camera
 from ltm_core.pipeline.site_fuel import provenance_of
 from ltm_core.raster.dem import Dem
 from ltm_core.site.site import Site
@@ -69,9 +71,8 @@ def map_picture(
     """Draw the known part of the fuel map over relief, with the cameras' sectors, and changed cells outlined."""
     cameras: list[pictures.MapCamera] = []
     for view in views:
-        name = "" if any(camera.name == view.name for camera in cameras) else view.name
-        place = (float(view.pose.position[0]), float(view.pose.position[1]))
-        cameras.append(pictures.MapCamera(name, view.camera, place, view.pose.angles_deg[0]))
+        repeated = any(camera.name == view.name for camera in cameras)
+        cameras.append(replace(map_camera(view), name="" if repeated else view.name))
     grid = site.in_map(geometry)
     bounds = interesting_bounds(classes != UNLABELLED, grid, [c.position for c in cameras], dem.geometry)
     ground = Dem(dem.elevation, dem.geometry)

@@ -84,28 +84,23 @@ class ReportData:
     facts: str = ""
 
 
-def write_report(path: Path | str, data: ReportData) -> Path:
+def write_report(path: Path, data: ReportData) -> Path:
     """Write the report as one HTML file, its folder too if need be, and return its path."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(render_report(data), encoding="utf-8")
-    return path
-
-
-def render_report(data: ReportData) -> str:
-    """Return the report's HTML."""
-    names = [str(name) for name in data.label_set.names] if data.label_set is not None else []
-    colors = [tuple(int(c) for c in color) for color in data.label_set.colors] if data.label_set is not None else []
-    return render_page(
+    classes = [] if data.label_set is None else list(zip(data.label_set.names, data.label_set.colors, strict=True))
+    names = [str(name) for name, _ in classes]
+    page = render_page(
         "run_report.html",
         {"picture": _picture},
         data=data,
-        classes=list(zip(names, colors, strict=True)),
+        classes=[(str(name), tuple(map(int, color))) for name, color in classes],
         range_legend=range_legend(900, data.scale),
         tiles=_tiles(data),
         fuel=_confusion(data.fuel.confusion, names) if data.fuel is not None else None,
         labels=_confusion(data.labels.confusion, names) if data.labels is not None else None,
     )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page, encoding="utf-8")
+    return path
 
 
 def _tiles(data: ReportData) -> list[tuple[str, str, str]]:

@@ -15,9 +15,8 @@ from ltm_core.scoring.fuel import FuelScore, MapScore, on_grid, score_fuel, scor
 from ltm_core.scoring.labels import DepthScore, DepthTally, SegmentationScore, at_pixels_of
 from ltm_core.site.site import Site
 from ltm_core.vision.labels import LabelSet
-from ltm_msgs_py.pointcloud import msg_to_votes
 from ltm_ros.recordings.frame_stream import FrameStream, StreamedFrame
-from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, image_shape, last_fuel_map
+from ltm_ros.recordings.recorded_run import FUEL_TRUTH, Recorded, image_shape, last_fuel_map, recorded_votes
 
 DEPTH_SOURCES = ("traced", "network", "fused")
 TRUTHS = {"visible surface": "truth_depth", "bare ground": "truth_ground"}
@@ -65,12 +64,10 @@ class RunTally:
         self._expected = sum(stream.has(name) for name in DEPTH_SOURCES)
         self._tallies = {(name, against): DepthTally() for name in DEPTH_SOURCES for against in (*TRUTHS, SHARED)}
         self._labels = SegmentationScore.empty(len(self._label_set))
-        self._fuel = FuelTally(recorded)
         self._frames = 0
 
     def add(self, frame: StreamedFrame) -> None:
         """Score one frame."""
-        self._fuel.add(frame)
         if "truth_depth" not in frame:
             return
         self._frames += 1
@@ -101,67 +98,43 @@ class RunTally:
             if tally.coverage > 0
         ]
         score.labels = self._labels if self._labels.pixels else None
-        self._fuel.add_to(score)
-        score.lacking = [] if self._fuel.lacking is None else [self._fuel.lacking]
+        _score_fuel(score, self._recorded)
         return score
 
 
-class FuelTally:
-    """Counts the votes of a bag's frames, and scores the last map of the bag. `lacking`: why it cannot be scored."""
+def _score_fuel(score: RunScore, recorded: Recorded) -> None:
+    """Score the last fuel map of a bag over the cells with votes, or add to `lacking` why it cannot be scored."""
+    try:
+        stored, geometry, labels = last_fuel_map(recorded.bag, recorded.site)
+    except RecordingError:
+        score.lacking.append("fuel cells: the bag has no fuel_map")
+        return
+    if recorded.life_forms is None:
+        score.lacking.append(f"fuel cells: no {FUEL_TRUTH} in {recorded.truth}; name its folder with --truth")
+        return
+    try:
+        truth, grid = read_fuel_map(recorded.life_forms)
+        own, classes = recorded.site.in_map(geometry), stored
 
-    def __init__(self, recorded: Recorded) -> None:
-        self._recorded = recorded
-        self.lacking: str | None = None
-        self._votes: MajorityFuelMap | None = None
-        self._counted = 0
-        try:
-            self._classes, self._geometry, self._labels = last_fuel_map(recorded.bag, recorded.site)
-        except RecordingError:
-            self.lacking = "fuel cells: the bag has no fuel_map"
-            return
-        if recorded.life_forms is None:
-            self.lacking = f"fuel cells: no {FUEL_TRUTH} in {recorded.truth}; name its folder with --truth"
-            return
-        self._votes = MajorityFuelMap(recorded.site.in_map(self._geometry), len(self._labels))
+        def scored(values: UInt8Array) -> FuelScore:
+            return score_fuel(values, geometry, truth, grid, len(labels))
 
-    def add(self, frame: StreamedFrame) -> None:
-        """Count the votes of one frame, if it has any. A frame whose votes cannot be read ends the scoring of fuel."""
-        message = frame.take("votes") if self._votes is not None else None
-        if message is None or self._votes is None:
-            return
-        try:
-            self._votes.add(msg_to_votes(message, self._votes.geometry, self._labels.names, frame.camera_name))
-            self._counted += 1
-        except LtmError as error:
-            self._votes, self.lacking = None, f"fuel cells: {error}"
-
-    def add_to(self, score: RunScore) -> None:
-        """Add the scores of all frames added so far, over the cells with votes."""
-        file = self._recorded.life_forms
-        if self._votes is None or file is None:
-            return
-        try:
-            truth, grid = read_fuel_map(file)
-            geometry, classes = self._geometry, self._classes
-
-            def scored(values: UInt8Array) -> FuelScore:
-                return score_fuel(values, geometry, truth, grid, len(self._labels))
-
-            if self._counted:
-                majority = self._votes.classes()
-                unseen = majority == UNSEEN
-                classes = np.where(unseen, UNSEEN, classes).astype(np.uint8)
-                score.fuel_vote = scored(majority)
-                site = self._recorded.site
-                empty = site_evidence_map(site, site.in_map(geometry), self._labels)
-                if empty.prior is not None:
-                    before = np.where(unseen, UNSEEN, empty.layers().life_form).astype(np.uint8)
-                    score.fuel_prior = scored(before)
-                    true = on_grid(truth, grid, geometry)
-                    score.fuel_changes = score_map("fuel map", self._classes, true, empty.prior.codes, ~unseen)
-            score.fuel = scored(classes)
-        except LtmError as error:
-            self.lacking = f"fuel cells: {error}"
+        votes = MajorityFuelMap(own, len(labels))
+        for frame in recorded_votes(recorded, own, labels):
+            votes.add(frame)
+        if votes.totals.any():
+            majority = votes.classes()
+            unseen = majority == UNSEEN
+            classes = np.where(unseen, UNSEEN, stored).astype(np.uint8)
+            score.fuel_vote = scored(majority)
+            empty = site_evidence_map(recorded.site, own, labels)
+            if empty.prior is not None:
+                score.fuel_prior = scored(np.where(unseen, UNSEEN, empty.layers().life_form).astype(np.uint8))
+                true = on_grid(truth, grid, geometry)
+                score.fuel_changes = score_map("fuel map", stored, true, empty.prior.codes, ~unseen)
+        score.fuel = scored(classes)
+    except LtmError as error:
+        score.lacking.append(f"fuel cells: {error}")
 
 
 def score_run(recorded: Recorded) -> RunScore:

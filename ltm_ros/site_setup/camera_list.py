@@ -194,7 +194,15 @@ def section(camera: CameraValues, datum: Datum | None) -> tuple[dict[str, Any], 
     if camera.z is None:
         place["height_above_ground"] = camera.height
     else:
-        place["z"] = round(camera.z + _lift(camera, datum), 3)
+        lift = 0.0
+        if camera.datum:
+            if datum is None:
+                raise ConfigError(
+                    f"camera {camera.name}: z is above {camera.datum}, but the DEM states no vertical datum; state the "
+                    "DEM's (rio edit-info --crs EPSG:CODE+5703), or give height above the ground"
+                )
+            lift = correction(named_datum(camera.datum), datum, np.array([camera.lon]), np.array([camera.lat])).item()
+        place["z"] = round(camera.z + lift, 3)
     if camera.listed:
         place |= {"azimuth_deg": 0.0, "azimuth_ref": "true"}
         source = {"kind": "camera_list", "url": _LIST_URL, "id": camera.listed, "image": _IMAGE_URL}
@@ -211,14 +219,3 @@ def section(camera: CameraValues, datum: Datum | None) -> tuple[dict[str, Any], 
     entry["calibration"] = {"width": width, "height": height, "hfov_deg": camera.hfov}
     entry["pose"] = place
     return entry, remarks
-
-
-def _lift(camera: CameraValues, datum: Datum | None) -> float:
-    if not camera.datum:
-        return 0.0
-    if datum is None:
-        raise ConfigError(
-            f"camera {camera.name}: z is above {camera.datum}, but the DEM states no vertical datum; state the DEM's "
-            "(rio edit-info --crs EPSG:CODE+5703), or give height above the ground"
-        )
-    return float(correction(named_datum(camera.datum), datum, np.array([camera.lon]), np.array([camera.lat]))[0])

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,15 @@ from ltm_core.geometry.geodesy import name_of, read_crs, same_crs
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Bounds, Dem
 from ltm_core.raster.heights_check import doubt_of_surface
-from ltm_ros.site_setup.rasters import Tile, grid_over, overlapping, resample, site_resolution, tiles_of
+from ltm_ros.site_setup.rasters import (
+    Tile,
+    grid_over,
+    interpolation_error,
+    overlapping,
+    resample,
+    site_resolution,
+    tiles_of,
+)
 from ltm_ros.site_setup.request import Fetched
 from ltm_ros.site_setup.vertical import Datum, named_datum
 
@@ -34,7 +43,6 @@ class Layer:
 
     path: Path
     described: str
-    grid: GridGeometry
     remarks: tuple[str, ...] = ()
 
 
@@ -62,14 +70,16 @@ def write_dem(
 
     Raises RasterError as `overlapping` and `resample` do, OSError if the file cannot be written."""
     there = overlapping(tiles, bounds, crs)
-    wanted, bounds = bounds, _within(bounds, there, crs)
+    boxes = [Transformer.from_crs(tile.crs, crs, always_xy=True).transform_bounds(*tile.bounds) for tile in there]
+    west, south, _, _ = np.maximum(bounds, np.min(boxes, axis=0)).tolist()
+    _, _, east, north = np.minimum(bounds, np.max(boxes, axis=0)).tolist()
+    wanted, bounds = bounds, (west, south, east, north)  # as far as the box around all tiles reaches
     size = max(least, site_resolution(there, max(bounds[2] - bounds[0], bounds[3] - bounds[1]), _MOST_PER_SIDE))
     grid = grid_over(bounds, size, there, crs)
-    made = resample(there, grid, datum)
-    remarks = list(made.remarks)
-    share = made.known * math.prod(bounds[k + 2] - bounds[k] for k in (0, 1))
-    share /= math.prod(wanted[k + 2] - wanted[k] for k in (0, 1))
-    if share < 0.99:
+    heights, found = resample(there, grid, datum)
+    remarks = list(found)
+    covered, asked = (math.prod(box[k + 2] - box[k] for k in (0, 1)) for box in (bounds, wanted))
+    if (share := np.isfinite(heights).mean() * covered / asked) < 0.99:
         remarks.append(f"{path.name}: {data.source} covers {share:.1%} of the area; terrain beyond is unknown")
     if any(tile.datum is None for tile in there):
         taken = "those of the other rasters" if datum is None else datum.name
@@ -78,18 +88,9 @@ def write_dem(
             "1 m off, or 20 to 50 m if they are ellipsoidal"
         )
     kept = len(there) == 1 and same_crs(there[0].crs, crs) and math.isclose(there[0].dx, size)
-    how = "cells of the source" if kept else f"bilinear, standard error {made.error:.2f} m"
-    about = {"RESAMPLING": how, "VERTICAL_DATUM": _named(datum)}
-    _write(path, made.heights, grid, float("nan"), data, about, datum, "metre")
-    return Layer(path, f"{_described(data, size)}, {how}", grid, tuple(remarks))
-
-
-def _within(bounds: Bounds, tiles: Sequence[Tile], crs: str) -> Bounds:
-    """Return the part of bounds in `crs` that the box around all tiles covers."""
-    boxes = [Transformer.from_crs(tile.crs, crs, always_xy=True).transform_bounds(*tile.bounds) for tile in tiles]
-    west, south, _, _ = np.maximum(bounds, np.min(boxes, axis=0)).tolist()
-    _, _, east, north = np.minimum(bounds, np.max(boxes, axis=0)).tolist()
-    return west, south, east, north
+    how = "cells of the source" if kept else f"bilinear, standard error {interpolation_error(heights):.2f} m"
+    _write(path, heights, grid, data, datum, how)
+    return Layer(path, f"{_described(data, size)}, {how}", tuple(remarks))
 
 
 def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Datum | None, ground: Dem) -> Layer:
@@ -98,15 +99,15 @@ def write_surface(path: Path, data: Fetched, bounds: Bounds, crs: str, datum: Da
     tiles = overlapping(elevation_tiles(data), bounds, crs)
     size = site_resolution(tiles, max(bounds[2] - bounds[0], bounds[3] - bounds[1]), _MOST_PER_SIDE)
     grid = grid_over(bounds, size, tiles, crs)
-    made = resample(tiles, grid, datum, elevation=False)
-    heights, cols = made.heights, np.arange(grid.width)
+    heights, remarks = resample(tiles, grid, datum, elevation=False)
+    cols = np.arange(grid.width)
     under = np.array([ground.elevation_at(*grid.to_map(row, cols)) for row in range(grid.height)], np.float32)
     above = data.above_ground or (all(tile.datum is None for tile in tiles) and _above_ground(heights, under, path))
     if above:
         heights = under + np.maximum(heights, 0)
-    _write(path, heights, grid, float("nan"), data, {"VERTICAL_DATUM": _named(datum)}, datum, "metre")
+    _write(path, heights, grid, data, datum)
     what = "canopy height above the DEM" if above else "surface"
-    return Layer(path, f"{_described(data, size)}, {what}", grid, made.remarks)
+    return Layer(path, f"{_described(data, size)}, {what}", remarks)
 
 
 def _above_ground(heights: NDArray[np.float32], ground: NDArray[np.float32], path: Path) -> bool:
@@ -134,14 +135,13 @@ def write_fuel(folder: Path, data: Fetched, grid: GridGeometry) -> Layer:
         bands["fbfm13"] = prior.fbfm13
     canopy = zip(CANOPY_BANDS, () if prior.canopy is None else prior.canopy, strict=False)
     bands |= {name: values for name, values in canopy if (values != NODATA).any()}
-    about = {"RESAMPLING": "nearest"}
     for name, values in bands.items():
-        _write(folder / f"{name}.tif", values, grid, NODATA, data, about, None, _UNITS.get(name, ""))
+        _write(folder / f"{name}.tif", values, grid, data, how="nearest")
     known = float((prior.codes != NODATA).mean())
     remarks = list(prior.remarks)
     if known < 0.995:
         remarks.append(f"{folder.name}: {data.source} covers {known:.0%} of the area; the rest is unknown")
-    return Layer(folder, f"{', '.join(bands)}; {_described(data, grid.resolution)}", grid, tuple(remarks))
+    return Layer(folder, f"{', '.join(bands)}; {_described(data, grid.resolution)}", tuple(remarks))
 
 
 def _prior_of(files: Sequence[Path]) -> PriorConfig:
@@ -162,21 +162,11 @@ def _described(data: Fetched, size: float) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _named(datum: Datum | None) -> str:
-    return "unknown" if datum is None else f"{datum.name} ({datum.code})"
-
-
 def _write(
-    path: Path,
-    values: NDArray[np.generic],
-    grid: GridGeometry,
-    nodata: float,
-    data: Fetched,
-    about: dict[str, str],
-    datum: Datum | None,
-    unit: str,
+    path: Path, values: NDArray[Any], grid: GridGeometry, data: Fetched, datum: Datum | None = None, how: str = ""
 ) -> None:
-    """Write a cloud-optimised GeoTIFF with its provenance."""
+    """Write heights (floats, above `datum`) or a band of the fuel map as a cloud-optimised GeoTIFF with provenance.
+    `how`: of the resampling."""
     import rasterio
     import rasterio.shutil
     from rasterio.io import MemoryFile
@@ -187,20 +177,22 @@ def _write(
         "YEAR": "unknown" if data.year is None else str(data.year),
         "URLS": " ".join(data.urls) or " ".join(file.name for file in data.files),
         "SOFTWARE": "ltm init",
-        **about,
     }
+    tags |= {"RESAMPLING": how} if how else {}
+    if heights := values.dtype.kind == "f":
+        tags["VERTICAL_DATUM"] = "unknown" if datum is None else f"{datum.name} ({datum.code})"
     options = {
         "driver": "GTiff", "width": grid.width, "height": grid.height, "count": 1, "dtype": values.dtype,
-        "crs": compound(grid.crs or "", datum), "transform": grid.transform(), "nodata": nodata,
+        "crs": compound(grid.crs or "", datum), "transform": grid.transform(), "nodata": np.nan if heights else NODATA,
     }  # fmt: skip
     layout = {"compress": "deflate", "predictor": "yes", "blocksize": 256, "bigtiff": "if_safer"}
-    overviews = {"overview_resampling": "average" if values.dtype.kind == "f" else "nearest"}
+    overviews = {"overview_resampling": "average" if heights else "nearest"}
     # GDAL hides the error of a full disk when it writes to one itself, and leaves half a file.
     with rasterio.Env(GDAL_CACHEMAX=64), MemoryFile() as plain, MemoryFile(ext=".tif") as packed:
         with plain.open(**options) as sink:
             sink.write(values, 1)
             sink.set_band_description(1, path.stem)
-            sink.set_band_unit(1, unit)
+            sink.set_band_unit(1, "metre" if heights else _UNITS.get(path.stem, ""))
             sink.update_tags(**tags)
         rasterio.shutil.copy(plain.name, packed.name, driver="COG", **layout, **overviews)
         path.write_bytes(packed.getbuffer())

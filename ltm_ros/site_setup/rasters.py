@@ -5,7 +5,7 @@ between cell centres; GDAL gives rasters that are registered to points the edges
 Positions are PROJ's at nodes at most `_LATTICE` metres apart; between the nodes their error is below 2 mm."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from ltm_core.raster.dem import Bounds, StoredHeights
 from ltm_core.raster.heights_check import unit_of
 from ltm_core.raster.raster_io import open_raster
 from ltm_core.storage.disk_io import is_folder
+from ltm_ros.site_setup.request import METRES_PER_DEGREE
 from ltm_ros.site_setup.vertical import Datum, MissingGridError, correction, datum_of
 
 _SUFFIXES = (".tif", ".tiff", ".img", ".asc", ".hgt", ".vrt", ".bil", ".dem", ".dt1", ".dt2", ".nc", ".jp2")
@@ -32,7 +33,6 @@ _SIZES = (0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0, 90.0)
 """Cell sizes in metres of a site's rasters."""
 MOST_CELLS = 190_000_000
 """Maximum number of cells of an area that are fetched or joined: 17.3 km per side at 1 m."""
-_DEGREE = 111_320.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Tile:
         """Return the mean cell size in metres."""
         if self.crs.is_geographic:
             along = math.cos(math.radians(self.north - self.height * self.dy / 2))
-            return _DEGREE * math.sqrt(self.dx * self.dy * along)
+            return METRES_PER_DEGREE * math.sqrt(self.dx * self.dy * along)
         return math.sqrt(self.dx * self.dy) * float(self.crs.axis_info[0].unit_conversion_factor)
 
     def fits(self, other: "Tile") -> bool:
@@ -142,58 +142,46 @@ def grid_over(bounds: Bounds, resolution: float, tiles: Sequence[Tile], crs: str
     return GridGeometry(x + left * resolution, y + up * resolution, resolution, right - left, up - down, crs)
 
 
-@dataclass(frozen=True)
-class Resampled:
-    """Heights on a site's grid, (H, W) metres, NaN where unknown, and remarks for the user."""
-
-    heights: Float32Array
-    remarks: tuple[str, ...]
-
-    @property
-    def known(self) -> float:
-        """Return the share of cells whose height is known."""
-        return float(np.isfinite(self.heights).mean())
-
-    @property
-    def error(self) -> float:
-        """Return the standard error of the interpolation in metres: a quarter of the second differences, which is what
-        bilinear heights between cell centres are off on ground of the same roughness."""
-        bend = self.heights[:, 1:-1] - (self.heights[:, :-2] + self.heights[:, 2:]) / 2
-        bend = bend[np.isfinite(bend)]
-        return float(np.sqrt(np.mean(np.square(bend, dtype=np.float64)))) / 4 if bend.size else math.nan
+def interpolation_error(heights: Float32Array) -> float:
+    """Return the standard error of interpolated heights in metres: a quarter of the second differences, which is what
+    bilinear heights between cell centres are off on ground of the same roughness."""
+    bend = heights[:, 1:-1] - (heights[:, :-2] + heights[:, 2:]) / 2
+    bend = bend[np.isfinite(bend)]
+    return float(np.sqrt(np.mean(np.square(bend, dtype=np.float64)))) / 4 if bend.size else math.nan
 
 
-def resample(tiles: Sequence[Tile], grid: GridGeometry, datum: Datum | None, elevation: bool = True) -> Resampled:
-    """Return the heights of tiles on a grid, in the vertical datum of the site; where tiles overlap, of the first one.
+def resample(
+    tiles: Sequence[Tile], grid: GridGeometry, datum: Datum | None, elevation: bool = True
+) -> tuple[Float32Array, tuple[str, ...]]:
+    """Return the heights of tiles on a grid, in the vertical datum of the site, NaN where unknown; and remarks for the
+    user. Where tiles overlap, the first one counts.
 
     `elevation`: whether the values are elevations; else heights above the ground. Raises RasterError: values that are
     no heights, too many cells, or ellipsoidal heights that PROJ has no grid for."""
     result = np.full(grid.shape, np.nan, np.float32)
     remarks: list[str] = []
     joined = [_joined(group, grid, elevation, remarks) for group in _groups(tiles)]
-    places = [_Places(grid, tile, datum, remarks) for tile, _ in joined]
+    places = [_places(grid, tile, datum, remarks) for tile, _ in joined]
     for strict in (True, False):  # beside unknown cells and at edges only where no other tile is whole
-        for (tile, values), place in zip(joined, places, strict=True):
+        for (tile, values), placed in zip(joined, places, strict=True):
             for row in range(0, grid.height, _ROWS):
                 part = result[row : row + _ROWS]
                 rows, cols = np.nonzero(np.isnan(part))
                 if rows.size:
-                    x, y, lift = place.at(rows + row, cols)
+                    x, y, lift = placed(rows + row, cols)
                     found = _bilinear(values, (tile.north - y) / tile.dy - 0.5, (x - tile.west) / tile.dx - 0.5, strict)
                     part[rows, cols] = found + lift
     if not np.isfinite(result).any():
         raise RasterError(f"{tiles[0].path}: has no height at the site: every cell is nodata there")
-    return Resampled(result, tuple(dict.fromkeys(remarks)))
+    return result, tuple(dict.fromkeys(remarks))
 
 
 def _groups(tiles: Sequence[Tile]) -> list[list[Tile]]:
     groups: list[list[Tile]] = []
     for tile in tiles:
-        group = next((group for group in groups if group[0].fits(tile)), None)
-        if group is None:
-            groups.append([tile])
-        else:
-            group.append(tile)
+        if (group := next((group for group in groups if group[0].fits(tile)), None)) is None:
+            groups.append(group := [])
+        group.append(tile)
     return groups
 
 
@@ -215,10 +203,8 @@ def _joined(group: list[Tile], grid: GridGeometry, elevation: bool, remarks: lis
         )
     total, count = np.zeros((rows, cols), np.float32), np.zeros((rows, cols), np.float32)
     for tile in group:
-        top, left = (
-            round((first.north - tile.north) / first.dy) - row0,
-            round((tile.west - first.west) / first.dx) - col0,
-        )
+        top = round((first.north - tile.north) / first.dy) - row0
+        left = round((tile.west - first.west) / first.dx) - col0
         r0, r1 = max(0, top), min(rows * step, top + tile.height)
         c0, c1 = max(0, left), min(cols * step, left + tile.width)
         if r0 >= r1 or c0 >= c1:
@@ -254,33 +240,31 @@ def _read(tile: Tile, window: tuple[int, int, int, int], elevation: bool, remark
     return values
 
 
-class _Places:
-    """Position of the site's cells in a tile's CRS, and what to add to heights there."""
-
-    def __init__(self, grid: GridGeometry, tile: Tile, datum: Datum | None, remarks: list[str]) -> None:
-        step = max(1.0, _LATTICE / grid.resolution)
-        rows, cols = (np.linspace(0, n - 1, max(2, math.ceil((n - 1) / step) + 1)) for n in grid.shape)
-        self._steps = [(rows[1] - rows[0]) or 1.0, (cols[1] - cols[0]) or 1.0]
-        x, y = grid.to_map(*np.meshgrid(rows, cols, indexing="ij"))
-        way = Transformer.from_crs(grid.crs, tile.crs, always_xy=True)
-        if way.accuracy > 2:
-            remarks.append(f"{tile.path}: {tile.crs.name} is converted to {grid.crs} within {way.accuracy:g} m")
-        lift: Any = np.zeros(x.shape)
-        if tile.datum is not None and datum is not None:
-            try:
-                lift = correction(
-                    tile.datum, datum, *Transformer.from_crs(grid.crs, 4326, always_xy=True).transform(x, y)
-                )
-            except MissingGridError as error:
-                if error.metres > 1:
-                    raise
-                remarks.append(f"{tile.path}: {error}")
-        self._nodes = np.stack([*way.transform(x, y), lift])
-
-    def at(self, rows: Any, cols: Any) -> Float64Array:
-        """Return x, y and lift of cells, (3, N)."""
-        where = np.stack([rows / self._steps[0], cols / self._steps[1]])
-        return np.stack([map_coordinates(nodes, where, order=1, mode="nearest") for nodes in self._nodes])
+def _places(
+    grid: GridGeometry, tile: Tile, datum: Datum | None, remarks: list[str]
+) -> Callable[[Any, Any], Float64Array]:
+    """Return the function of rows and columns that gives the x and y of the site's cells in a tile's CRS, and what to
+    add to heights there, (3, N)."""
+    step = max(1.0, _LATTICE / grid.resolution)
+    rows, cols = (np.linspace(0, n - 1, max(2, math.ceil((n - 1) / step) + 1)) for n in grid.shape)
+    high, wide = (rows[1] - rows[0]) or 1.0, (cols[1] - cols[0]) or 1.0
+    x, y = grid.to_map(*np.meshgrid(rows, cols, indexing="ij"))
+    way = Transformer.from_crs(grid.crs, tile.crs, always_xy=True)
+    if way.accuracy > 2:
+        remarks.append(f"{tile.path}: {tile.crs.name} is converted to {grid.crs} within {way.accuracy:g} m")
+    lift: Any = np.zeros(x.shape)
+    if tile.datum is not None and datum is not None:
+        lonlat = Transformer.from_crs(grid.crs, 4326, always_xy=True).transform(x, y)
+        try:
+            lift = correction(tile.datum, datum, *lonlat)
+        except MissingGridError as error:
+            if error.metres > 1:
+                raise
+            remarks.append(f"{tile.path}: {error}")
+    nodes = [*way.transform(x, y), lift]
+    return lambda row, col: np.stack(
+        [map_coordinates(values, np.stack([row / high, col / wide]), order=1, mode="nearest") for values in nodes]
+    )
 
 
 def _bilinear(values: Float32Array, row: Float64Array, col: Float64Array, strict: bool) -> Float64Array:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Literal
 
@@ -16,13 +15,8 @@ METRES_PER_DEGREE = 111_320.0
 """Length of a degree of longitude at the equator, and of latitude within 0.7 %."""
 
 
-class Kind(StrEnum):
-    """The rasters of a site."""
-
-    ELEVATION = "elevation"
-    COARSE_ELEVATION = "coarse_elevation"
-    SURFACE = "surface"
-    FUEL = "fuel"
+Kind = Literal["dem", "coarser", "surface", "fuel"]
+"""The rasters of a site, by their keys for `ltm init --update`."""
 
 
 @dataclass(frozen=True)

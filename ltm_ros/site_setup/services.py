@@ -1,6 +1,5 @@
 """Sources that prepare a file on request: OpenTopography, LANDFIRE's product service, Web Coverage Services."""
 
-import json
 import math
 import re
 import time
@@ -9,6 +8,7 @@ import zlib
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import urlencode
 
 import rasterio
 
@@ -25,6 +25,7 @@ from ltm_ros.site_setup.request import (
     Part,
     Plan,
     Progress,
+    no_progress,
     shifted,
 )
 from ltm_ros.site_setup.source import Source, filled, list_in
@@ -45,15 +46,27 @@ _LATITUDE_OF_ALASKA, _LONGITUDE_OF_HAWAII = 51.0, -150.0
 
 
 class WholeFileSource(Source):
-    """A source whose parts are whole files that the service makes for the area."""
+    """A source whose parts are whole files that the service makes for the area. `key_parameter`: the request passes the
+    key as this parameter, which is kept out of plans and messages."""
 
-    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
+    key_parameter = ""
+
+    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         files, used, done = [], [], 0
+        secret = {self.key_parameter: self.key} if self.key_parameter else {}
         check_room(folder, plan.expected_bytes)
         for part in plan.parts:
             within = shifted(progress, done, plan.expected_bytes)
-            path = self.web.download(part.url, self._secret(part), most=4 * part.expected_bytes, progress=within)
-            if self._known_cells(path, part):
+            path = self.web.download(part.url, secret, most=4 * part.expected_bytes, progress=within)
+            try:
+                with open_raster(path, driver="GTiff") as source:
+                    unknown = read_band(source, 1)[1].all()
+            except RasterError as error:
+                with path.open("rb") as file:
+                    said = in_words(file.read(600))
+                path.unlink()
+                raise FetchError(f"{redacted(part.url)}: not a GeoTIFF ({said}); check the request") from error
+            if not unknown:
                 files.append(put_into(folder, path, part.name))
                 used.append(part)
             done += part.expected_bytes
@@ -62,24 +75,11 @@ class WholeFileSource(Source):
             raise NoCoverageError(f"{self.name}: every cell of the area is unknown; choose another source")
         return self._fetched(plan, files, used)
 
-    def _secret(self, part: Part) -> dict[str, str]:
-        """Return the parameters that are kept out of plans and messages."""
-        return {}
-
-    def _known_cells(self, path: Path, part: Part) -> bool:
-        """Return whether a delivered file shows anything. Raises FetchError if it is no GeoTIFF; removes it then."""
-        try:
-            with open_raster(path, driver="GTiff") as source:
-                return not read_band(source, 1)[1].all()
-        except RasterError as error:
-            with path.open("rb") as file:
-                said = in_words(file.read(600))
-            path.unlink()
-            raise FetchError(f"{redacted(part.url)}: not a GeoTIFF ({said}); check the request") from error
-
 
 class OpenTopographySource(WholeFileSource):
     """The global and USGS elevation APIs of OpenTopography."""
+
+    key_parameter = "API_Key"
 
     def _planned(self, area: Area) -> Plan:
         west, south, east, north = area.padded(4 * self.resolution_m).bounds_lonlat
@@ -87,9 +87,6 @@ class OpenTopographySource(WholeFileSource):
         url = f"{self.address}{'&' if '?' in self.address else '?'}{bounds}&outputFormat=GTiff"
         cells = (east - west) * (north - south) * (METRES_PER_DEGREE / self.resolution_m) ** 2
         return Plan(area, (Part(url, f"{self.name}.tif", round(4 * cells) + (1 << 16)),), (), self.year)
-
-    def _secret(self, part: Part) -> dict[str, str]:
-        return {"API_Key": self.key}
 
 
 class CoverageSource(WholeFileSource):
@@ -102,22 +99,16 @@ class CoverageSource(WholeFileSource):
         for layer in self.config.layers or ("",):
             address = filled(self.address, {"layer": layer, "year": str(self.year)})
             base, _, coverage = address.partition("#")
-            about = self.web.get(base, _wcs("DescribeCoverage", coverageId=coverage)).decode("utf-8", "replace")
+            query = {"service": "WCS", "version": "2.0.1", "request": "DescribeCoverage", "coverageId": coverage}
+            about = self.web.get(base, query).decode("utf-8", "replace")
             grid = CoverageGrid(about, f"{redacted(base)}, coverage {coverage}")
-            parts.append(self._part(base, coverage, grid, area))
+            (left, bottom, right, top), cells = grid.cut(area, self.name)
+            x, y = grid.labels
+            asked = urlencode(query | {"request": "GetCoverage"})
+            subsets = f"subset={x}({left:.10g},{right:.10g})&subset={y}({bottom:.10g},{top:.10g})"
+            url = f"{base}{'&' if '?' in base else '?'}{asked}&{subsets}&format=image/tiff"
+            parts.append(Part(url, f"{coverage.rpartition('__')[2]}.tif", 2 * cells + 4096))
         return Plan(area, tuple(parts), (), self.year)
-
-    def _part(self, base: str, coverage: str, grid: "CoverageGrid", area: Area) -> Part:
-        (left, bottom, right, top), cells = grid.cut(area, self.name)
-        x, y = grid.labels
-        subsets = f"&subset={x}({left:.10g},{right:.10g})&subset={y}({bottom:.10g},{top:.10g})"
-        query = "&".join(f"{key}={value}" for key, value in _wcs("GetCoverage", coverageId=coverage).items())
-        url = f"{base}{'&' if '?' in base else '?'}{query}{subsets}&format=image/tiff"
-        return Part(url, f"{coverage.rpartition('__')[2]}.tif", 2 * cells + 4096)
-
-
-def _wcs(request: str, **parameters: str) -> dict[str, str]:
-    return {"service": "WCS", "version": "2.0.1", "request": request, **parameters}
 
 
 class CoverageGrid:
@@ -165,7 +156,7 @@ def _numbers(xml: str, name: str) -> list[float]:
         return []
 
 
-class LandfireSource(WholeFileSource):
+class LandfireSource(Source):
     """LANDFIRE's product service: a job is submitted, polled and downloaded as an archive of one raster."""
 
     poll_s = _POLL_S
@@ -197,7 +188,7 @@ class LandfireSource(WholeFileSource):
         order = self.config.layers
         return {y: [ls[a] for a in order if a in ls] for y, ls in found.items() if len(ls) == most}
 
-    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
+    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         """Fetch the newer of two editions that knows almost all of the area, else the one that knows more.
 
         An edition is published region by region. Raises NoCoverageError, FetchError."""
@@ -221,11 +212,8 @@ class LandfireSource(WholeFileSource):
             sink.update_tags(SOURCE=self.name, LICENCE=self.licence)
         year = part.name[2:6]
         file = put_into(folder, raster, f"LF{year}.tif")
-        return self._fetched(replace(plan, year=int(year)), [file], [part])
-
-    def _fetched(self, plan: Plan, files: list[Path], used: list[Part]) -> Fetched:
-        named = [Part(f"{self.address}/job/submit?Layer_List={part.url}", part.name, 0) for part in used]
-        return super()._fetched(plan, files, named)
+        asked = replace(part, url=f"{self.address}/job/submit?Layer_List={part.url}")
+        return self._fetched(replace(plan, year=int(year)), [file], [asked])
 
     def _archive(self, part: Part, area: Area, progress: Progress) -> Path:
         """Return the archive of a job; one that was submitted by an interrupted run is continued."""
@@ -241,7 +229,7 @@ class LandfireSource(WholeFileSource):
             job = answer.get("jobId") if isinstance(answer, dict) else None
             if not isinstance(job, str):
                 raise FetchError(f"{self.name}: the job was rejected ({plain(str(answer), 300)}); change the area")
-            noted.write_text(json.dumps({"job": job}))
+            noted.write_text(job)
             url = self._finished(noted)
         remote = None if url is None else self.web.remote(url)
         if url is None or remote is None:  # archives are deleted after some days
@@ -252,8 +240,8 @@ class LandfireSource(WholeFileSource):
     def _finished(self, noted: Path) -> str | None:
         """Wait for a job, and return the address of its result; None if there is no such job. Raises FetchError."""
         try:
-            job = str(json.loads(noted.read_text())["job"])
-        except (OSError, ValueError, KeyError, TypeError):
+            job = noted.read_text()
+        except OSError:
             return None
         end = time.monotonic() + _JOB_S
         while time.monotonic() < end:

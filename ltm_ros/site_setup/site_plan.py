@@ -26,20 +26,13 @@ from ltm_core.storage.disk_io import free_bytes, is_folder, is_there, require_fo
 from ltm_ros.site_setup.camera_list import CameraValues, check_cameras, section
 from ltm_ros.site_setup.layers import Layer, elevation_tiles, fine_tiles, local, write_dem, write_fuel, write_surface
 from ltm_ros.site_setup.rasters import Tile, tiles_of
-from ltm_ros.site_setup.request import Area, Kind, NoCoverageError, Plan
+from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
 from ltm_ros.site_setup.site_writer import change_site, free_name, site_text
 from ltm_ros.site_setup.source import Source
-from ltm_ros.site_setup.sources import choose
+from ltm_ros.site_setup.sources import Choice, choose
 from ltm_ros.site_setup.vertical import Datum, site_datum
 
-KINDS: Mapping[str, Kind] = {
-    "dem": Kind.ELEVATION,
-    "coarser": Kind.COARSE_ELEVATION,
-    "surface": Kind.SURFACE,
-    "fuel": Kind.FUEL,
-}
-"""Kinds of the rasters of a site, by key of the site file."""
-_FILES = {"dem": "dem.tif", "coarser": "dem_coarse.tif", "surface": "surface.tif", "fuel": "fuel"}
+_FILES: Mapping[Kind, str] = {"dem": "dem.tif", "coarser": "dem_coarse.tif", "surface": "surface.tif", "fuel": "fuel"}
 _COARSE = 30.0
 """Smallest cell size of the coarser DEM in metres."""
 _MARGIN_DEG = 0.002
@@ -57,7 +50,7 @@ class Wish:
     crs: str | None = None
     cameras: Sequence[CameraValues] = ()
     files: Mapping[str, Sequence[Path]] = field(default_factory=dict)
-    update: str | None = None
+    update: Kind | None = None
 
     @property
     def site_file(self) -> Path:
@@ -66,13 +59,12 @@ class Wish:
 
 @dataclass(frozen=True)
 class Step:
-    """A raster to make, from the user's files or from a source with its plan."""
+    """A raster to make, from the user's files, or from the source of `choice`."""
 
-    key: str
+    key: Kind
     bounds: Bounds
     own: Sequence[Path] = ()
-    source: Source | None = None
-    plan: Plan | None = None
+    choice: Choice | None = None
 
 
 @dataclass
@@ -89,7 +81,7 @@ class SitePlan:
 
     @property
     def expected_bytes(self) -> int:
-        return sum(step.plan.expected_bytes for step in self.steps if step.plan is not None)
+        return sum(step.choice.plan.expected_bytes for step in self.steps if step.choice is not None)
 
 
 def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
@@ -107,12 +99,13 @@ def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
     lon, lat = wish.lonlat
     own = elevation_tiles(local(wish.files["dem"])) if wish.files.get("dem") else []
     crs = _site_crs(lon, lat, wish.crs, own)
-    x, y = (float(v) for v in SiteFrame(crs).from_lonlat(lon, lat))
+    frame = SiteFrame(crs)
+    x, y = map(float, frame.from_lonlat(lon, lat))
     fine = (x - wish.radius, y - wish.radius, x + wish.radius, y + wish.radius)
     problem = scale_problem(crs, GridGeometry(fine[0], fine[3], wish.radius, 2, 2, crs))
     if problem:
         raise ConfigError(f"--crs {crs}: {problem}")
-    places = {camera.ros_name: SiteFrame(crs).from_lonlat(camera.lon, camera.lat) for camera in wish.cameras}
+    places = {camera.ros_name: frame.from_lonlat(camera.lon, camera.lat) for camera in wish.cameras}
     cameras = {name: (float(cx), float(cy)) for name, (cx, cy) in places.items()}
     remarks = _check_places(cameras, fine)
     plan = SitePlan(wish, crs, (round(x, -3), round(y, -3)), [], remarks)
@@ -131,7 +124,7 @@ def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
 def _plan_change(wish: Wish, sources: Sequence[Source]) -> SitePlan:
     if wish.update is None and not wish.cameras:
         raise ConfigError(
-            f"{wish.site_file}: exists already; change it with --update {'|'.join(KINDS)} or --camera, or name a new "
+            f"{wish.site_file}: exists already; change it with --update {'|'.join(_FILES)} or --camera, or name a new "
             "folder"
         )
     site = load_site(wish.site_file)
@@ -198,7 +191,7 @@ def _beyond(tile: Tile, fine: Bounds, crs: str) -> bool:
     return west < fine[0] - margin or south < fine[1] - margin or east > fine[2] + margin or north > fine[3] + margin
 
 
-def _add_step(plan: SitePlan, key: str, bounds: Bounds, sources: Sequence[Source], optional: bool = False) -> None:
+def _add_step(plan: SitePlan, key: Kind, bounds: Bounds, sources: Sequence[Source], optional: bool = False) -> None:
     """Add a raster from the user's files, or from the best source. `optional`: without coverage it is left out."""
     own = plan.wish.files.get("dem" if key == "coarser" else key, ())
     if own:
@@ -208,15 +201,14 @@ def _add_step(plan: SitePlan, key: str, bounds: Bounds, sources: Sequence[Source
     west, south, east, north = lonlat
     area = Area((west - _MARGIN_DEG, south - _MARGIN_DEG, east + _MARGIN_DEG, north + _MARGIN_DEG))
     try:
-        source = choose(KINDS[key], area, sources)
-        planned = source.plan(area)
+        choice = choose(key, area, sources)
     except NoCoverageError as error:
         if not optional:
             raise
-        plan.remarks.append(f"no {KINDS[key]}: {error}")
+        plan.remarks.append(str(error))
         return
-    plan.steps.append(Step(key, bounds, (), source, planned))
-    plan.remarks += planned.notes
+    plan.steps.append(Step(key, bounds, (), choice))
+    plan.remarks += choice.plan.notes
 
 
 def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tuple[dict[str, Layer], list[str]]:
@@ -295,10 +287,10 @@ def _layers(
     datum = None if site is None else tiles_of([site.dem.path])[0].datum
     for step in plan.steps:
         data = local(step.own)
-        if step.source is not None and step.plan is not None:
+        if step.choice is not None:
             fetched = folder / "sources" / step.key
             fetched.mkdir(parents=True)
-            data = step.source.fetch(step.plan, fetched, partial(progress, step.key))
+            data = step.choice.fetch(fetched, partial(progress, step.key))
         place = folder / _FILES[step.key]
         if step.key in ("dem", "coarser"):
             tiles = elevation_tiles(data)

@@ -11,8 +11,6 @@ from ltm_core.storage.config_io import LARGEST_FILE, parse_yaml, read_text
 from ltm_ros.site_setup.layers import Layer
 from ltm_ros.site_setup.vertical import Datum
 
-PLACEHOLDER = "north"
-"""Name of the camera of a site for which none was given; a site file needs at least one."""
 _CODE_RULES = ("barriers", "unknown_codes", "own_fbfm13")
 """Keys of `fuel.prior` that hold for a newer fuel map, too."""
 
@@ -45,8 +43,8 @@ def site_text(
     if "fuel" in layers:
         lines += ["fuel:", f"  prior: {layers['fuel'].path.name}/  # {layers['fuel'].described}"]
     lines.append("cameras:")
-    if not cameras:
-        lines.append(f"  {PLACEHOLDER}: {{}}  # add yours: ltm init --out FOLDER --camera NAME=LON,LAT,...")
+    if not cameras:  # a site file needs at least one
+        lines.append("  north: {}  # add yours: ltm init --out FOLDER --camera NAME=LON,LAT,...")
     text = "\n".join(lines) + "\n"
     return changed(text, {}, cameras, "site.yaml") if cameras else text
 

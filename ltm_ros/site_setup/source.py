@@ -3,7 +3,7 @@
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +18,6 @@ from ltm_ros.site_setup.request import (
     Bounds,
     Fetched,
     FetchError,
-    Kind,
     NoCoverageError,
     Part,
     Plan,
@@ -56,11 +55,6 @@ class Source:
         self.name, self.config, self.web = name, config, web
         self.kinds, self.address, self.licence = config.kinds, config.address, config.licence
         self.resolution_m, self.vertical_crs, self.year = config.resolution_m, config.vertical_crs, config.year
-        self.passed_over: tuple[str, ...] = ()
-        """Preferred sources that were not used, each with its reason."""
-        self.next_source: Callable[[str], Source] | None = None
-        """Chooses the next source, given the reason why this one has no data."""
-        self._plans: dict[Area, Plan] = {}
 
     @property
     def key(self) -> str:
@@ -71,15 +65,13 @@ class Source:
         """Return what would be fetched, with sizes. May query the service.
 
         Raises NoCoverageError if the source cannot be used for the area, FetchError if the service fails."""
-        if area not in self._plans:
-            self._check(area)
-            self._plans[area] = self._planned(area)
-        plan = self._plans[area]
-        notes = [*self.passed_over, *plan.notes]
+        self._check(area)
+        plan = self._planned(area)
         age = 0 if plan.year is None else datetime.now(UTC).year - plan.year
-        if Kind.FUEL in self.kinds and age > _OLD_YEARS:
-            notes.append(f"{self.name}: the fuel map shows {plan.year}, {age} years ago; fires since then are missing")
-        return replace(plan, notes=tuple(notes))
+        if "fuel" not in self.kinds or age <= _OLD_YEARS:
+            return plan
+        old = f"{self.name}: the fuel map shows {plan.year}, {age} years ago; fires since then are missing"
+        return replace(plan, notes=(*plan.notes, old))
 
     def _check(self, area: Area) -> None:
         """Raise NoCoverageError if the configuration excludes an area, or a key is missing."""
@@ -103,17 +95,7 @@ class Source:
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         """Fetch a plan into `folder`; files appear there whole or not at all.
 
-        If every cell turns out to be unknown, as beyond a border, the data come from the next source (`Fetched` names
-        it). Raises NoCoverageError, FetchError."""
-        try:
-            return self._fetch(plan, folder, progress)
-        except NoCoverageError as error:
-            if self.next_source is None:
-                raise
-            other = self.next_source(str(error))
-            return other.fetch(other.plan(plan.area), folder, progress)
-
-    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
+        Raises NoCoverageError if every cell turns out to be unknown, as beyond a border; FetchError."""
         self.web.make_cache()
         tags = {"SOURCE": self.name, "LICENCE": self.licence}
         files, used = fetch_parts(plan.parts, folder, self.web, progress, self.config.nodata, tags)
@@ -130,8 +112,7 @@ class Source:
         if not items:
             raise NoCoverageError(f"{self.name} has no file for {area}")
         boxes = [item.box for item in items if item.box is not None]
-        share = _share_covered(area, boxes) if len(boxes) == len(items) else 1.0
-        if share < _ALMOST_ALL:
+        if len(boxes) == len(items) and (share := _share_covered(area, boxes)) < _ALMOST_ALL:
             raise NoCoverageError(f"{self.name} covers {share:.0%} of the area")
         parts: list[Part] = []
         for item in items:
@@ -161,7 +142,11 @@ class TileSource(Source):
         if self.config.quadkey_zoom:
             zoom = self.config.quadkey_zoom
             (left, top), (right, bottom) = _web_tile(west, north, zoom), _web_tile(east, south, zoom)
-            names = [{"quadkey": _quadkey(x, y, zoom)} for y in range(top, bottom + 1) for x in range(left, right + 1)]
+            names = [
+                {"quadkey": "".join(str((x >> bit & 1) + 2 * (y >> bit & 1)) for bit in reversed(range(zoom)))}
+                for y in range(top, bottom + 1)
+                for x in range(left, right + 1)
+            ]
         else:
             step = self.config.tile_degrees
             names = [
@@ -246,9 +231,9 @@ class UrlSource(Source):
         part = Part(remote.url, _file_name(self.address), remote.size, remote)
         return Plan(area, (part,), (), self.year)
 
-    def _fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
+    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
         if not self.config.sha256:
-            return super()._fetch(plan, folder, progress)
+            return super().fetch(plan, folder, progress)
         (part,) = plan.parts
         path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
         return self._fetched(plan, [put_into(folder, path, part.name)], [part])
@@ -288,10 +273,6 @@ def _web_tile(lon: float, lat: float, zoom: int) -> tuple[int, int]:
     return min(int(x * across), across - 1), min(int(y * across), across - 1)
 
 
-def _quadkey(x: int, y: int, zoom: int) -> str:
-    return "".join(str((x >> bit & 1) + 2 * (y >> bit & 1)) for bit in reversed(range(zoom)))
-
-
 def _joined(area: Area) -> str:
     return ",".join(f"{value:.6f}" for value in area.bounds_lonlat)
 
@@ -302,9 +283,9 @@ def _file_name(url: str) -> str:
     return f"{name.rpartition('.tif')[0] or name or 'file'}.tif"
 
 
-def _share_covered(area: Area, boxes: list[Bounds], steps: int = 40) -> float:
-    """Return the share of an area that lies in any of some boxes."""
+def _share_covered(area: Area, boxes: list[Bounds]) -> float:
+    """Return the share of an area that lies in any of some boxes, at 40 x 40 points."""
     west, south, east, north = area.bounds_lonlat
-    within = (np.arange(steps) + 0.5) / steps
+    within = (np.arange(40) + 0.5) / 40
     x, y = np.meshgrid(west + within * (east - west), south + within * (north - south))
     return float(np.logical_or.reduce([(w <= x) & (x <= e) & (s <= y) & (y <= n) for w, s, e, n in boxes]).mean())

@@ -1,7 +1,7 @@
 """List the data sources, and choose one by kind and place."""
 
 from collections.abc import Sequence
-from copy import copy
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pydantic import Field
@@ -10,7 +10,17 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import checked, read_yaml
-from ltm_ros.site_setup.request import Area, FetchError, Kind, NoCoverageError, SourceConfig
+from ltm_ros.site_setup.request import (
+    Area,
+    Fetched,
+    FetchError,
+    Kind,
+    NoCoverageError,
+    Plan,
+    Progress,
+    SourceConfig,
+    no_progress,
+)
 from ltm_ros.site_setup.services import CoverageSource, LandfireSource, OpenTopographySource
 from ltm_ros.site_setup.source import NationalMapSource, Source, StacSource, TileSource, UrlSource
 from ltm_ros.site_setup.web import Web
@@ -52,27 +62,40 @@ def load_sources(own: Path | None = None, web: Web | None = None) -> list[Source
     return [_ADAPTERS[entry.protocol](name, entry, client) for name, entry in config.sources.items()]
 
 
-def choose(kind: Kind, area: Area, sources: Sequence[Source], passed_over: Sequence[str] = ()) -> Source:
-    """Return the first source that delivers a kind of raster for an area; why others were not used is in its plans.
+@dataclass(frozen=True)
+class Choice:
+    """The source of a raster, with its plan. `passed_over`: why preferred sources are not used; `rest`: the others."""
+
+    kind: Kind
+    source: Source
+    plan: Plan
+    passed_over: Sequence[str]
+    rest: Sequence[Source]
+
+    def fetch(self, folder: Path, progress: Progress = no_progress) -> Fetched:
+        """Fetch the plan, or if every cell of it is unknown, that of the next source; `Fetched` names the source.
+
+        Raises NoCoverageError, FetchError."""
+        try:
+            return self.source.fetch(self.plan, folder, progress)
+        except NoCoverageError as error:
+            reasons = [*self.passed_over, f"{self.source.name} is not used: {error}"]
+            return choose(self.kind, self.plan.area, self.rest, reasons).fetch(folder, progress)
+
+
+def choose(kind: Kind, area: Area, sources: Sequence[Source], passed_over: Sequence[str] = ()) -> Choice:
+    """Return the first source that delivers a kind of raster for an area; the plan notes why others are not used.
 
     `passed_over`: why others were not used before. Raises NoCoverageError with the reason of each source if none can be
     used."""
-    reasons, rest = list(passed_over), [source for source in sources if kind in source.kinds]
-    while rest:
-        source = rest.pop(0)
+    reasons, usable = list(passed_over), [source for source in sources if kind in source.kinds]
+    for k, source in enumerate(usable):
         try:
-            source.plan(area)
+            plan = source.plan(area)
         except FetchError as error:
             reasons.append(f"{source.name} is not used: {error}")
         else:
-            break
-    else:
-        listed = "".join(f"\n  {reason}" for reason in reasons)
-        raise NoCoverageError(f"no source of {kind} for {area}; give your own file.{listed}")
-
-    def following(reason: str) -> Source:
-        return choose(kind, area, rest, [*reasons, f"{source.name} is not used: {reason}"])
-
-    chosen = copy(source)  # the same source may serve another kind, with other reasons
-    chosen.passed_over, chosen.next_source = tuple(reasons), following
-    return chosen
+            plan = replace(plan, notes=(*reasons, *plan.notes))
+            return Choice(kind, source, plan, reasons, usable[k + 1 :])
+    listed = "".join(f"\n  {reason}" for reason in reasons)
+    raise NoCoverageError(f"{kind}: no source for {area}; give your own file.{listed}")

@@ -81,9 +81,8 @@ def named_datum(text: str) -> Datum:
     if text.lower() in _BY_NAME:
         return _BY_NAME[text.lower()]
     crs = read_crs(text)
-    found = (
-        _BY_DATUM.get(crs.datum.name if crs.datum else "") if crs.is_vertical and not crs.is_compound else datum_of(crs)
-    )
+    bare = crs.is_vertical and not crs.is_compound
+    found = _BY_DATUM.get(crs.datum.name if crs.datum else "") if bare else datum_of(crs)
     if found is None:
         raise ConfigError(f"vertical datum {text}: give {', '.join(_BY_NAME)} or a CRS with heights")
     return found
@@ -109,20 +108,17 @@ def correction(given: Datum, wanted: Datum, lon: Float64Array, lat: Float64Array
     for datum in (given, wanted):
         way, grids = _route(datum, area)
         missing += grids
-        if way is not None:
-            zeros.append(_zero(datum, way, lon, lat))
+        if way is None:
+            continue
+        # The datum's zero surface above the ellipsoid of ITRF2014, metres.
+        above = np.zeros(np.shape(lon)) if datum.ellipsoidal else way.transform(lon, lat, np.zeros(np.shape(lon)))[2]
+        if datum.base != ELLIPSOIDAL.base:
+            shift = Transformer.from_crs(datum.base, _ITRF2014, always_xy=True)
+            above = shift.transform(lon, lat, above, np.full(np.shape(lon), _EPOCH))[2]
+        zeros.append(np.asarray(above, np.float64))
     if len(zeros) < 2 or not np.isfinite(zeros[0] - zeros[1]).all():
         raise MissingGridError(given, wanted, missing)
     return zeros[0] - zeros[1]
-
-
-def _zero(datum: Datum, way: Transformer, lon: Float64Array, lat: Float64Array) -> Float64Array:
-    """Return the height of the datum's zero surface above the ellipsoid of ITRF2014, metres."""
-    above = np.zeros(np.shape(lon)) if datum.ellipsoidal else way.transform(lon, lat, np.zeros(np.shape(lon)))[2]
-    if datum.base != ELLIPSOIDAL.base:
-        shift = Transformer.from_crs(datum.base, _ITRF2014, always_xy=True)
-        above = shift.transform(lon, lat, above, np.full(np.shape(lon), _EPOCH))[2]
-    return np.asarray(above, np.float64)
 
 
 def _route(datum: Datum, area: AreaOfInterest) -> tuple[Transformer | None, list[str]]:

@@ -50,11 +50,6 @@ class AgainError(Exception):
         self.wait_s = wait_s
 
 
-def cache_folder() -> Path:
-    """Return the folder of fetched data; a second or an interrupted run fetches only the rest."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ltm/sites"
-
-
 def digest(*parts: object) -> str:
     """Return a short name for a request."""
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()[:24]
@@ -90,11 +85,13 @@ def only_writer(path: Path) -> Iterator[Any]:
 class Web:
     """HTTP client of the sources. Proxies are those of the environment (HTTPS_PROXY, NO_PROXY).
 
-    `cache`: folder for downloads. `first_pause_s`: after the first failed attempt; it doubles with each further one.
+    `cache`: folder for downloads; a second or an interrupted run fetches only the rest. `first_pause_s`: after the
+    first failed attempt; it doubles with each further one.
     `timeout_s`: for a connection, and for each part of an answer."""
 
     def __init__(self, cache: Path | None = None, first_pause_s: float = 1.0, timeout_s: float = 90.0) -> None:
-        self.cache = cache_folder() if cache is None else cache
+        usual = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ltm/sites"
+        self.cache = usual if cache is None else cache
         self._first_pause_s = first_pause_s
         limits = httpx.Timeout(timeout_s, connect=min(20.0, timeout_s))
         headers = {"User-Agent": "ltm-init", "Accept-Encoding": "identity"}

@@ -37,6 +37,7 @@ _GAP_BYTES = 4 << 10
 _RANGE_BYTES = 4 << 20
 """Blocks with gaps up to the one are fetched together, up to the other."""
 _CONNECTIONS = 4
+_JOURNAL = ".ranges"
 
 Window = tuple[int, int, int, int]
 """First column, first row, columns and rows."""
@@ -112,8 +113,6 @@ def fetch_parts(
 
 def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None, tags: dict[str, str]) -> Path:
     """Return the file of a window in the cache. Raises FetchError."""
-    from rasterio.windows import Window as Cells
-
     remote, window = part.remote, part.window
     if remote is None or window is None:
         raise FetchError(f"{part.name}: the plan states no window to fetch; run the command again")
@@ -129,16 +128,10 @@ def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None
         _write_ranges(sparse, ranges, remote, web, progress)
         try:
             with _opened(sparse, remote.url) as source:
-                cells = Cells(*window)
-                values = source.read(1, window=cells)
-                declared = nodata if source.nodatavals[0] is None else source.nodatavals[0]
-                unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, bool)
-                if declared is not None and not np.isnan(declared):
-                    unknown |= values == values.dtype.type(declared)
-                _write(path, values, unknown, source, cells, declared, tags)
+                _write(path, source, window, nodata, tags)
         finally:  # what cannot be read now is not kept for the next run
             sparse.unlink()
-            _journal(sparse).unlink(missing_ok=True)
+            sparse.with_suffix(_JOURNAL).unlink(missing_ok=True)
     return path
 
 
@@ -201,14 +194,15 @@ def _block_ranges(source: Any, window: Window) -> list[tuple[int, int]]:
     """Return where in the file the blocks of a window are, as few ranges. Raises FetchError if it is not stated."""
     column, row, columns, rows = window
     height, width = source.block_shapes[0]
+    ys = range(row // height, (row + rows - 1) // height + 1)
+    xs = range(column // width, (column + columns - 1) // width + 1)
     blocks = []
-    for y in range(row // height, (row + rows - 1) // height + 1):
-        for x in range(column // width, (column + columns - 1) // width + 1):
-            first, size = (
-                int(source.get_tag_item(f"BLOCK_{what}_{x}_{y}", "TIFF", bidx=1) or 0) for what in ("OFFSET", "SIZE")
-            )
-            if size:
-                blocks.append((max(first - _LEADER_BYTES, 0), first + size + _LEADER_BYTES))
+    for place in (f"{x}_{y}" for y in ys for x in xs):
+        first, size = (
+            int(source.get_tag_item(f"BLOCK_{what}_{place}", "TIFF", bidx=1) or 0) for what in ("OFFSET", "SIZE")
+        )
+        if size:
+            blocks.append((max(first - _LEADER_BYTES, 0), first + size + _LEADER_BYTES))
     if not blocks:
         raise FetchError(f"{redacted(source.name)}: no data in the window, or not a Cloud Optimized GeoTIFF")
     ranges: list[tuple[int, int]] = []
@@ -220,13 +214,9 @@ def _block_ranges(source: Any, window: Window) -> list[tuple[int, int]]:
     return ranges
 
 
-def _journal(sparse: Path) -> Path:
-    return sparse.with_suffix(".ranges")
-
-
 def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, web: Web, progress: Progress) -> None:
     """Fetch ranges of a file into its sparse copy, but not those that an interrupted run has already."""
-    journal = _journal(sparse)
+    journal = sparse.with_suffix(_JOURNAL)
     have = set(journal.read_text().split()) if journal.exists() else set()
     missing = [(first, last) for first, last in ranges if f"{first}-{last}" not in have]
     done = sum(last - first for first, last in set(ranges) - set(missing))
@@ -247,20 +237,20 @@ def _write_ranges(sparse: Path, ranges: list[tuple[int, int]], remote: Remote, w
         pool.shutdown(wait=False, cancel_futures=True)  # requests in flight may take minutes
 
 
-def _write(
-    path: Path,
-    values: NDArray[Any],
-    unknown: NDArray[np.bool_],
-    source: Any,
-    window: Any,
-    nodata: float | None,
-    tags: dict[str, str],
-) -> None:
-    """Write a window of a raster's first band as a GeoTIFF that appears whole or not at all.
+def _write(path: Path, source: Any, window: Window, nodata: float | None, tags: dict[str, str]) -> None:
+    """Write a window of a raster's first band as a GeoTIFF that appears whole or not at all. `nodata`: of a raster that
+    declares none.
 
     Raises FetchError or ConfigError if the disk does not take it."""
     from rasterio.io import MemoryFile
+    from rasterio.windows import Window as Cells
 
+    cells = Cells(*window)
+    values = source.read(1, window=cells)
+    nodata = nodata if source.nodatavals[0] is None else source.nodatavals[0]
+    unknown = np.isnan(values) if values.dtype.kind == "f" else np.zeros(values.shape, bool)
+    if nodata is not None and not np.isnan(nodata):
+        unknown |= values == values.dtype.type(nodata)
     if nodata is None and unknown.any():
         nodata = np.nan if values.dtype.kind == "f" else float(np.iinfo(values.dtype).max)
     if nodata is not None:
@@ -268,7 +258,7 @@ def _write(
     height, width = values.shape
     shape = {"width": width, "height": height, "count": 1, "dtype": values.dtype, "nodata": nodata}
     tiled = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "zlevel": 1}
-    place = {"crs": source.crs, "transform": source.window_transform(window)}
+    place = {"crs": source.crs, "transform": source.window_transform(cells)}
     with MemoryFile() as memory:  # GDAL keeps the errors of a full disk to itself
         with memory.open(driver="GTiff", BIGTIFF="IF_SAFER", **shape, **tiled, **place) as sink:
             sink.write(values, 1)

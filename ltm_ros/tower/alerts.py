@@ -153,7 +153,7 @@ def post(url: str, token: SecretConfig | None, content: bytes) -> None:
     import httpx
 
     known = None if token is None else read_secret(token)
-    value = "" if known is None else known.reveal()
+    value = "" if known is None else known.get_secret_value()
     headers = {"content-type": "application/json", "user-agent": "ltm"}
     if value and "{token}" not in url:
         headers["authorization"] = f"Bearer {value}"
@@ -185,7 +185,8 @@ def publish(config: AlertsConfig, site: str, content: bytes) -> None:
     client.on_connect = lambda _client, _data, _flags, reason, _properties: answers.append(reason)
     try:
         if config.user is not None:
-            client.username_pw_set(config.user, read_secret(config.password).reveal() if config.password else None)
+            word = read_secret(config.password).get_secret_value() if config.password else None
+            client.username_pw_set(config.user, word)
         if tls:
             context = ssl.create_default_context(cafile=None if config.ca is None else str(config.ca))
             if config.certificate is not None and config.key is not None:

@@ -10,7 +10,8 @@ from fuzz.mutations import spoil_text
 from fuzz.target import Target
 from ltm_ros.cameras.protocols.exposure import ExposureClock
 from ltm_ros.cameras.protocols.files import entry_of, reading_of, time_of
-from ltm_ros.cameras.protocols.http_pictures import PartSplitter, timing_of
+from ltm_ros.cameras.protocols.http_pictures import PartSplitter
+from ltm_ros.cameras.protocols.picture import Timing, stated_number
 
 _LIST = settings(kind="camera_list", url="http://127.0.0.1/all.json", image="http://127.0.0.1/{id}.jpg", id="north")
 
@@ -41,7 +42,8 @@ def _split(folder: Path) -> None:
     parts, data, clock = PartSplitter(b"--frame", 100_000), (folder / "x").read_bytes(), ExposureClock()
     for begin in range(0, len(data), 700):
         for head, _ in parts.feed(data[begin : begin + 700]):
-            exposure = clock.estimate(timing_of(head, 5000.0), 1_790_000_000.0)
+            timing = Timing(5000.0, oldest=0.3, stream=stated_number(head.get("x-timestamp")))
+            exposure = clock.estimate(timing, 1_790_000_000.0)
             assert 0 < exposure.uncertainty < 60, exposure
 
 

@@ -37,13 +37,8 @@ class Behaviour:
     """Wrong passwords in a row after which it refuses the right one too."""
     clock_ahead: float = 0.0
     """Seconds."""
-    dates: bool = True
-    """Whether it says what time it has (`Date`),"""
-    last_modified: bool = True
     tags: bool = False
-    """Whether it knows ETags,"""
-    period: float = 0.0
-    """and makes a picture once in so many seconds; 0: one a request."""
+    """Whether it knows ETags."""
     frozen: bool = False
     """The same bytes again."""
     status: int = 200
@@ -58,7 +53,6 @@ class Behaviour:
     """or states the length of the half that it sends."""
     garbage: bytes = b""
     """Sent instead of a picture."""
-    content_type: str = "image/jpeg"
     hang_up: bool = False
     """It closes the connection without an answer."""
     render: Callable[[float], bytes] = lambda moment: jpeg(with_time(scene(), moment))
@@ -96,10 +90,8 @@ class HttpCamera:
         """When the picture that the camera has now was taken, and its bytes."""
         behaviour = self.behaviour
         with self._lock:
-            now = time.time()
-            moment = now if not behaviour.period else now // behaviour.period * behaviour.period
-            keep = self._picture is not None and (behaviour.frozen or self._picture[0] == moment)
-            if not keep or self._picture is None:
+            if self._picture is None or not behaviour.frozen:
+                moment = time.time()
                 self._picture = moment, behaviour.render(moment)
             return self._picture
 
@@ -142,16 +134,11 @@ class HttpCamera:
 
 
 class Request(BaseHTTPRequestHandler):
-    """One request to the camera; `query` as it stands in the URL."""
+    """One request to the camera."""
 
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
     camera: HttpCamera
-
-    @property
-    def query(self) -> str:
-        return urlsplit(self.path).query
-
     body: bytes = b""
 
     def answer(self, status: int, body: bytes, kind: str, headers: list[tuple[str, str]] | None = None) -> None:
@@ -184,7 +171,6 @@ class Request(BaseHTTPRequestHandler):
             route(self)
 
     do_POST = do_GET  # noqa: N815 # as http.server names it
-    do_PUT = do_GET  # noqa: N815
 
     def snapshot(self) -> None:
         """The camera's picture, or what it does instead."""
@@ -196,11 +182,10 @@ class Request(BaseHTTPRequestHandler):
         moment, body = self.camera.picture()
         tag, modified = f'"{_md5(str(moment))}"', formatdate(moment + behaviour.clock_ahead, usegmt=True)
         if behaviour.tags and self.headers.get("if-none-match") == tag:
-            self.answer(304, b"", behaviour.content_type)
+            self.answer(304, b"", "image/jpeg")
             return
         headers = [("ETag", tag)] if behaviour.tags else []
-        headers += [("Last-Modified", modified)] if behaviour.last_modified else []
-        self._send(behaviour.garbage or body, headers)
+        self._send(behaviour.garbage or body, [*headers, ("Last-Modified", modified)])
 
     def mjpeg(self) -> None:
         behaviour = self.camera.behaviour
@@ -224,7 +209,7 @@ class Request(BaseHTTPRequestHandler):
     def _send(self, body: bytes, headers: list[tuple[str, str]]) -> None:
         behaviour = self.camera.behaviour
         sent = body[: len(body) // 2] if behaviour.truncate else body
-        self._begin(200, behaviour.content_type, [*headers, ("Content-Length", str(len(sent)))])
+        self._begin(200, "image/jpeg", [*headers, ("Content-Length", str(len(sent)))])
         half = len(sent) // 2
         self.wfile.write(sent[:half])
         self.wfile.flush()
@@ -238,8 +223,7 @@ class Request(BaseHTTPRequestHandler):
 
     def _begin(self, status: int, kind: str, headers: list[tuple[str, str]]) -> None:
         self.send_response_only(status)
-        if self.camera.behaviour.dates:
-            self.send_header("Date", self.date_time_string())
+        self.send_header("Date", self.date_time_string())
         for name, value in [("Content-Type", kind), *headers]:
             self.send_header(name, value)
         self.end_headers()

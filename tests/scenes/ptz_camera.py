@@ -10,7 +10,7 @@ import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import dataclass
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, urlsplit
 
 from ltm_core.base.types import UInt8Array
 from scenes.http_camera import HttpCamera, Request, Route
@@ -91,20 +91,10 @@ class FakeHead:
     # --- VAPIX
 
     def _vapix(self, request: Request) -> None:
-        query = {name: values[0] for name, values in parse_qs(request.query).items()}
         pan, tilt, zoom = self.encoders()
-        kind = query.get("query")
-        if kind == "position":
-            turned = (pan + 180) % 360 - 180
-            lines = [
-                f"pan={turned:.4f}",
-                f"tilt={tilt:.4f}",
-                f"zoom={zoom:.0f}",
-                "autofocus=on",
-            ]
-        else:
-            lines = ["Error: unknown query"]
-        request.answer(200, "\r\n".join([*lines, ""]).encode(), "text/plain")
+        text = f"pan={(pan + 180) % 360 - 180:.4f}\r\ntilt={tilt:.4f}\r\nzoom={zoom:.0f}\r\nautofocus=on\r\n"
+        known = parse_qs(urlsplit(request.path).query).get("query") == ["position"]
+        request.answer(200, (text if known else "Error: unknown query\r\n").encode(), "text/plain")
 
     # --- ISAPI: elevation grows downwards
 
@@ -143,14 +133,10 @@ class FakeHead:
         pan, tilt, zoom = self.encoders()
         if name == "GetSystemDateAndTime":
             now = time.gmtime(time.time() + self.clock_ahead)
-            day = f"<tt:Year>{now.tm_year}</tt:Year><tt:Month>{now.tm_mon}</tt:Month><tt:Day>{now.tm_mday}</tt:Day>"
-            hour = f"<tt:Hour>{now.tm_hour}</tt:Hour><tt:Minute>{now.tm_min}</tt:Minute>"
-            hour += f"<tt:Second>{now.tm_sec}</tt:Second>"
-            inside = (
-                ""
-                if self.time == "none"
-                else f"<tt:UTCDateTime><tt:Time>{hour}</tt:Time><tt:Date>{day}</tt:Date></tt:UTCDateTime>"
-            )
+            words = ["Year", "Month", "Day", "Hour", "Minute", "Second"]
+            parts = [f"<tt:{word}>{value}</tt:{word}>" for word, value in zip(words, now[:6], strict=True)]
+            date, hour = f"<tt:Date>{''.join(parts[:3])}</tt:Date>", f"<tt:Time>{''.join(parts[3:])}</tt:Time>"
+            inside = "" if self.time == "none" else f"<tt:UTCDateTime>{hour}{date}</tt:UTCDateTime>"
         elif name == "GetCapabilities":
             inside = "".join(
                 f"<tt:{service}><tt:XAddr>{host}/{service.lower()}</tt:XAddr></tt:{service}>"
@@ -191,19 +177,11 @@ class FakeHead:
         return right and abs(age) <= CLOCK_TOLERANCE_S
 
     def _soap(self, request: Request, body: str, status: int = 200) -> None:
-        names = " ".join(
-            f'xmlns:{short}="http://www.onvif.org/{path}"'
-            for short, path in {
-                "tt": "ver10/schema",
-                "trt": "ver10/media/wsdl",
-                "tptz": "ver20/ptz/wsdl",
-                "ter": "ver10/error",
-                "x": "x",
-            }.items()
-        )
+        names = " ".join(f'xmlns:{short}="http://www.onvif.org/{path}"' for short, path in _NAMES.items())
         self._xml(request, f'<s:Envelope xmlns:s="{_SOAP}" {names}><s:Body>{body}</s:Body></s:Envelope>', status)
 
 
+_NAMES = {"tt": "ver10/schema", "trt": "ver10/media/wsdl", "tptz": "ver20/ptz/wsdl", "ter": "ver10/error", "x": "x"}
 _HIK = ' version="2.0" xmlns="http://www.hikvision.com/ver20/XMLSchema"'
 
 

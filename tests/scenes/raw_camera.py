@@ -7,11 +7,11 @@ import contextlib
 import re
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
-Answer = bytes | Callable[[str], bytes]
-"""Bytes, or what makes them from the head of the request."""
+Answer = bytes | Callable[[str], bytes | Iterable[bytes]]
+"""Bytes, or what makes them from the head of the request, maybe piece by piece."""
 
 
 @dataclass
@@ -47,7 +47,9 @@ def raw_camera(*answers: Answer, keep: bool = False) -> Iterator[RawCamera]:
                     buffer = buffer[int(length[1]) :]
                 camera.heads.append(head.decode("latin-1"))
                 answer = left.pop(0) if len(left) > 1 else left[0]
-                connection.sendall(answer if isinstance(answer, bytes) else answer(camera.heads[-1]))
+                sent = answer if isinstance(answer, bytes) else answer(camera.heads[-1])
+                for part in [sent] if isinstance(sent, bytes) else sent:
+                    connection.sendall(part)
                 if not keep:
                     return
 

@@ -24,6 +24,9 @@ from rasterio.transform import from_origin
 from rasterio.warp import transform_bounds
 
 from ltm_ros.site_setup.request import Area
+from ltm_ros.site_setup.source import Source
+from ltm_ros.site_setup.sources import load_sources
+from ltm_ros.site_setup.web import Web
 
 Formula = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 """Values at the cell centres x, y in the raster's CRS."""
@@ -97,17 +100,12 @@ class SiteServices:
         self.fuel_years = {2024: 1.0}
         """LANDFIRE's editions, and the share of the columns, from the west, that each one knows."""
         self.job_states = ["Pending", "Executing", "Succeeded"]
-        self.fuel_crs = "EPSG:5070"
         self.statuses: dict[str, list[int]] = {}
         """Statuses of the next answers, by a part of the path; an empty list or no entry: 200."""
         self.cut: dict[str, int] = {}
         """How many answers end after half of the body, by a part of the path."""
         self.ranges = True
         self.stall_s = 0.0
-        self.stalls: Callable[[str], bool] = lambda path: False
-        """Whether the request of a path gets no answer for now."""
-        self.stalled = 0
-        """Number of requests that have stalled."""
         self.retry_after = ""
         self.requests: list[str] = []
         self.bytes_sent = 0
@@ -132,6 +130,10 @@ class SiteServices:
         path.write_text(yaml.safe_dump({"sources": entries}, sort_keys=False))
         return path
 
+    def loaded(self, folder: Path, timeout_s: float = 5.0, **further: Mapping[str, Any]) -> list[Source]:
+        """Return the sources of `sources`, with a cache in a folder."""
+        return load_sources(self.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, timeout_s))
+
     def count(self, part: str) -> int:
         """Return the number of requests with `part` in their path."""
         return sum(part in request for request in self.requests)
@@ -143,9 +145,7 @@ class SiteServices:
             west, south, east, north = transform_bounds(source.crs, "EPSG:4326", *source.bounds)
         self.products.append(
             {
-                "title": f"USGS 1 Meter {name}",
                 "downloadURL": f"{self.url}/cog/{name}",
-                "sizeInBytes": len(content),
                 "publicationDate": date,
                 "boundingBox": {"minX": west, "minY": south, "maxX": east, "maxY": north},
             }
@@ -219,7 +219,7 @@ class SiteServices:
         bands = np.stack([of_layer.get(layer, codes - 100) for layer in layers])
         bands[:, codes == 32767] = 32767
         names = [f"LF{year}_{layer}_CONUS" for layer in layers]
-        return geotiff(bands, self.fuel_crs, west, south + 30.0 * height, 30.0, nodata=32767, names=names)
+        return geotiff(bands, "EPSG:5070", west, south + 30.0 * height, 30.0, nodata=32767, names=names)
 
     def _landfire(self, path: str, query: Mapping[str, str]) -> tuple[int, bytes, str]:
         if path == "/products":
@@ -237,9 +237,8 @@ class SiteServices:
             self._polls[job] = 0
             bounds = [float(v) for v in query["Area_of_Interest"].split()]
             layers = query["Layer_List"].split(";")
-            raster = self.fuel(
-                transform_bounds("EPSG:4326", self.fuel_crs, *bounds), int(layers[0][2:6]), [n[7:] for n in layers]
-            )
+            within = transform_bounds("EPSG:4326", "EPSG:5070", *bounds)
+            raster = self.fuel(within, int(layers[0][2:6]), [n[7:] for n in layers])
             body = io.BytesIO()
             with zipfile.ZipFile(body, "w") as box:
                 box.writestr("LF2024_metadata.xml", "<metadata/>")
@@ -258,13 +257,12 @@ class SiteServices:
         return _json(404, {"message": "unknown", "success": False})
 
     def _coverage(self, query: Mapping[str, str]) -> tuple[int, bytes, str]:
-        code = self.fuel_crs.removeprefix("EPSG:")
         if query["request"] == "DescribeCoverage":
-            text = f"""<wcs:CoverageDescriptions><wcs:CoverageDescription><gml:boundedBy>
-              <gml:Envelope srsName="http://www.opengis.net/def/crs/EPSG/0/{code}" axisLabels="X Y" uomLabels="m m"
+            text = """<wcs:CoverageDescriptions><wcs:CoverageDescription><gml:boundedBy>
+              <gml:Envelope srsName="http://www.opengis.net/def/crs/EPSG/0/5070" axisLabels="X Y" uomLabels="m m"
               srsDimension="2"><gml:lowerCorner>-2362395 221265</gml:lowerCorner>
               <gml:upperCorner>2327655 3267405</gml:upperCorner></gml:Envelope></gml:boundedBy>
-              <gml:domainSet><gml:RectifiedGrid dimension="2"><gml:origin><gml:Point srsName="EPSG:{code}">
+              <gml:domainSet><gml:RectifiedGrid dimension="2"><gml:origin><gml:Point srsName="EPSG:5070">
               <gml:pos>-2362380 3267390</gml:pos></gml:Point></gml:origin><gml:offsetVector>30.0 0.0</gml:offsetVector>
               <gml:offsetVector>0.0 -30.0</gml:offsetVector></gml:RectifiedGrid></gml:domainSet>
               </wcs:CoverageDescription></wcs:CoverageDescriptions>"""
@@ -296,9 +294,6 @@ def _handler(services: SiteServices) -> type[BaseHTTPRequestHandler]:
                 status = next((s.pop(0) for at, s in services.statuses.items() if at in self.path and s), 200)
                 cut = next((at for at, left in services.cut.items() if at in self.path and left), None)
             time.sleep(services.stall_s)
-            services.stalled += services.stalls(self.path)
-            while services.stalls(self.path):
-                time.sleep(0.02)
             if status != 200:
                 return self._send(status, b"<error>busy</error>", "application/xml")
             status, body, kind = services.answer(parts.path, query)

@@ -4,6 +4,8 @@ import base64
 import os
 from urllib.parse import quote, quote_plus
 
+from pydantic import SecretStr
+
 from ltm_core.base.errors import LtmError
 from ltm_core.base.redaction import HIDDEN, redacted
 from ltm_core.site.source_config import NetworkSettings, SecretConfig
@@ -25,29 +27,12 @@ class PictureError(SourceError):
 LONGEST = 4096
 
 
-class Secret:
-    """A value that is never printed, formatted or logged."""
-
-    __slots__ = ("_value",)
-
-    def __init__(self, value: str) -> None:
-        self._value = value
-
-    def reveal(self) -> str:
-        return self._value
-
-    def __repr__(self) -> str:
-        return HIDDEN
-
-    __str__ = __repr__
-
-
-def read_secret(config: SecretConfig) -> Secret:
+def read_secret(config: SecretConfig) -> SecretStr:
     """Read the password again for each connection, so that a change needs no restart. Raises UnauthorisedError that
     names the place."""
     if config.environment is not None:
         if value := os.environ.get(config.environment):
-            return Secret(value)
+            return SecretStr(value)
         raise UnauthorisedError(f"{config.place} is not set: set it for the service that runs `ltm run`")
     path = config.file or service_credential(config.credential or "")
     if path is None:
@@ -63,20 +48,24 @@ def read_secret(config: SecretConfig) -> Secret:
         raise UnauthorisedError(f"{config.place} cannot be read ({why}): store the password there") from None
     if not value:
         raise UnauthorisedError(f"{config.place} is empty: store the password there")
-    return Secret(value)
+    return SecretStr(value)
 
 
 class Login:
     """A camera's user and password, and texts without them."""
 
-    def __init__(self, user: str | None, password: Secret | None) -> None:
+    def __init__(self, user: str | None, password: SecretStr | None) -> None:
         self.user, self._password = user, password
-        self._hidden = _spellings(user or "", self.secret) if password is not None else ()
+        word = self.secret
+        basic = base64.b64encode(f"{user or ''}:{word}".encode()).decode()
+        spellings = {word, quote(word, safe=""), quote(word), quote_plus(word), repr(word)[1:-1], basic} if word else ()
+        self._hidden = sorted(spellings, key=len, reverse=True)
+        """The password as URLs, headers and reprs have it, the longest first."""
 
     @property
     def secret(self) -> str:
         """Return the password itself; empty: none."""
-        return "" if self._password is None else self._password.reveal()
+        return "" if self._password is None else self._password.get_secret_value()
 
     @classmethod
     def of(cls, settings: NetworkSettings) -> "Login":
@@ -99,10 +88,3 @@ class Login:
         for spelling in self._hidden:
             said = said.replace(spelling, HIDDEN)
         return redacted(said)
-
-
-def _spellings(user: str, password: str) -> tuple[str, ...]:
-    """Return the encodings of the password in URLs, headers and reprs, the longest first."""
-    basic = base64.b64encode(f"{user}:{password}".encode()).decode()
-    found = {password, quote(password, safe=""), quote(password), quote_plus(password), repr(password)[1:-1], basic}
-    return tuple(sorted(found, key=len, reverse=True))

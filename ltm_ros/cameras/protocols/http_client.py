@@ -17,7 +17,7 @@ import httpx
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.site.source_config import HttpSettings
 from ltm_ros.cameras.protocols.credentials import Login, PictureError, SourceError
-from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraTransport, Deadline
+from ltm_ros.cameras.protocols.http_wire import CameraAuth, CameraNetwork, CameraTransport
 from ltm_ros.cameras.protocols.picture import CameraTime, Timing
 
 REFUSED = (401, 403, 423)
@@ -28,6 +28,7 @@ WHOLE_FACTOR = 3
 KEEP_S = 75.0
 """Seconds for which a connection is kept, enough for one snapshot per minute."""
 
+Headers = Mapping[str, str]
 
 # They log each request's URL at INFO, which may contain a password.
 for _name in ("httpx", "httpcore"):
@@ -39,7 +40,7 @@ class HttpResponse:
     """`asked`, `arrived`: monotonic seconds of the request and of the answer's header."""
 
     status: int
-    headers: Mapping[str, str]
+    headers: Headers
     body: bytes
     asked: float
     arrived: float
@@ -58,14 +59,14 @@ class HttpClient:
         self.login, self.url = Login.of(settings), settings.url
         self._most_bytes = most_bytes
         self._whole_s = WHOLE_FACTOR * settings.timeout
-        self._deadline = Deadline()
+        self._network = CameraNetwork()
         auth = None
         if settings.user is not None and "{password}" not in settings.url:
             kind = settings.authentication
             auth = CameraAuth(settings.user, self.login.secret, ("digest", "basic") if kind == "auto" else (kind,))
         self._client = httpx.Client(
             auth=auth,
-            transport=CameraTransport(_certificates(settings), KEEP_S, self._deadline),
+            transport=CameraTransport(_certificates(settings), KEEP_S, self._network),
             timeout=settings.timeout,
             # A redirect would send the password to another host.
             follow_redirects=False,
@@ -77,16 +78,11 @@ class HttpClient:
         self._client.close()
 
     def get(
-        self,
-        url: str,
-        headers: Mapping[str, str] | None = None,
-        method: str = "GET",
-        body: bytes | None = None,
-        accepted: Collection[int] = TAKEN,
+        self, url: str, headers: Headers | None = None, post: bytes | None = None, accepted: Collection[int] = TAKEN
     ) -> HttpResponse:
-        """Return the whole answer. `accepted`: statuses that are no errors. Raises SourceError, UnauthorisedError,
-        PictureError if it is too large."""
-        with self.stream(url, headers, method, body, accepted) as (response, asked, arrived):
+        """Return the whole answer to a GET, or to a POST of `post`. `accepted`: statuses that are no errors. Raises
+        SourceError, UnauthorisedError, PictureError if it is too large."""
+        with self.stream(url, headers, post, accepted) as (response, asked, arrived):
             if response.headers.get("content-type", "").lower().startswith("multipart/x-mixed-replace"):
                 raise SourceError("the camera answered with a stream of images: set kind: mjpeg")
             whole = bytearray()
@@ -106,12 +102,7 @@ class HttpClient:
 
     @contextlib.contextmanager
     def stream(
-        self,
-        url: str,
-        headers: Mapping[str, str] | None = None,
-        method: str = "GET",
-        body: bytes | None = None,
-        accepted: Collection[int] = TAKEN,
+        self, url: str, headers: Headers | None = None, post: bytes | None = None, accepted: Collection[int] = TAKEN
     ) -> Iterator[tuple[httpx.Response, float, float]]:
         """Yield an answer whose body is still to come, with the times of the request and of its header. Raises as
         `get`."""
@@ -120,8 +111,8 @@ class HttpClient:
         # The time of the last request after a challenge counts: its answer holds the image.
         self._client.event_hooks = {"request": [lambda _: asked.append(time.monotonic())], "response": []}
         with self.in_time():
-            request = self._client.stream(method, url, headers=dict(headers or {}), content=body)
-            with request as response:
+            method = "GET" if post is None else "POST"
+            with self._client.stream(method, url, headers=dict(headers or {}), content=post) as response:
                 arrived = time.monotonic()
                 self._check(response, accepted)
                 yield response, asked[-1], arrived
@@ -129,19 +120,22 @@ class HttpClient:
     @contextlib.contextmanager
     def in_time(self) -> Iterator[None]:
         """Limit the body to the time of a whole answer. Raises SourceError without secrets for errors of httpx."""
-        self._deadline.until = time.monotonic() + self._whole_s
+        self._network.until = time.monotonic() + self._whole_s
         try:
             yield
         except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, OSError, ValueError) as error:
             why = self.login.redact(error)
             match error:
-                case _ if time.monotonic() >= self._deadline.until:
+                case _ if time.monotonic() >= self._network.until:
                     said = f"the camera took more than {self._whole_s:g} s for one image"
                 case httpx.TimeoutException():
                     what = "connection" if isinstance(error, httpx.ConnectTimeout) else "answer"
                     said = f"the camera does not respond: no {what} in time"
                 case httpx.ConnectError():
-                    said = f"no connection: {why}{_remedy(str(error))}"
+                    remedies = (
+                        remedy for text, remedy in _REMEDIES.items() if re.search(text, str(error), re.IGNORECASE)
+                    )
+                    said = f"no connection: {why}{next(remedies, '')}"
                 case httpx.InvalidURL() | UnicodeError():
                     said = f"the url is invalid: {why}"
                 case _:
@@ -192,11 +186,7 @@ _REMEDIES = {
 """What to do about an error of TLS, by its text."""
 
 
-def _remedy(why: str) -> str:
-    return next((f": {remedy}" for text, remedy in _REMEDIES.items() if re.search(text, why, re.IGNORECASE)), "")
-
-
-def http_time(headers: Mapping[str, str], name: str) -> CameraTime | None:
+def http_time(headers: Headers, name: str) -> CameraTime | None:
     """Return a time from a header; None if missing or invalid. Whole seconds, as in RFC 9110."""
     try:
         return CameraTime(parsedate_to_datetime(headers[name]).timestamp(), 1.0, name.lower())

@@ -3,7 +3,7 @@
 import contextlib
 import re
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import httpx
 
@@ -11,13 +11,7 @@ from ltm_core.base.redaction import redacted
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import PictureError, SourceError
 from ltm_ros.cameras.protocols.exposure import exif_time
-from ltm_ros.cameras.protocols.http_client import (
-    HttpClient,
-    HttpResponse,
-    http_time,
-    is_whole_jpeg,
-    page_in,
-)
+from ltm_ros.cameras.protocols.http_client import HttpClient, HttpResponse, http_time, is_whole_jpeg, page_in
 from ltm_ros.cameras.protocols.picture import CameraImage, Nothing, Timing, stated_number
 
 _SHOWN, _SHOWN_TEXT = 16, 60
@@ -113,7 +107,8 @@ class MjpegReader:
         if not body.startswith(_BEGIN):
             raise PictureError(f"a part of the stream with {len(body)} bytes is not a JPEG")
         self._due = arrived + self._every
-        return CameraImage(timing_of(head, arrived), jpeg=body)
+        stream = stated_number(head.get("x-timestamp"))  # some cameras count seconds there
+        return CameraImage(Timing(arrived, oldest=_OLDEST_S, stream=stream), jpeg=body)
 
     def close(self) -> None:
         with contextlib.suppress(SourceError):
@@ -158,7 +153,8 @@ class PartSplitter:
             blank = _BLANK.search(buffer, start - 1)
             if blank is None:
                 return None
-            head, start = _head(bytes(buffer[start : blank.start()])), blank.end()
+            lines = (str(line, "latin-1").partition(":") for line in buffer[start : blank.start()].splitlines())
+            head, start = {name.strip().lower(): value.strip() for name, _, value in lines}, blank.end()
         length = int(stated_number(head.get("content-length")) or 0)
         if length > self._most_bytes:
             raise SourceError(f"an image of {length} bytes is announced; the maximum is {self._most_bytes}")
@@ -198,11 +194,6 @@ _FIRST_BYTES = 1024
 _FIRST_LINE = re.compile(rb"[\r\n]{0,16}([^\r\n]{1,200})\r?\n")
 
 
-def timing_of(head: Mapping[str, str], arrived: float) -> Timing:
-    """Return the timing of a part from its header; some cameras count seconds there."""
-    return Timing(arrived=arrived, oldest=_OLDEST_S, stream=stated_number(head.get("x-timestamp")))
-
-
 def _declared_boundary(response: httpx.Response) -> bytes:
     """Return the stated boundary; empty: none. Raises SourceError if the answer is no stream."""
     kind: str = response.headers.get("content-type", "")
@@ -212,8 +203,3 @@ def _declared_boundary(response: httpx.Response) -> bytes:
         raise SourceError(f"the camera answered {page or kind[:60] or 'no type'}, not a stream of JPEGs; {remedy}")
     found = re.search(r'(?i)boundary\s*=\s*(?:"([^"]*)"|([^;]*))', kind)
     return (found[1] or found[2] or "").strip().encode() if found else b""
-
-
-def _head(data: bytes) -> dict[str, str]:
-    lines = (line.partition(b":") for line in data.splitlines())
-    return {name.decode("latin-1").strip().lower(): value.decode("latin-1").strip() for name, _, value in lines}

@@ -12,7 +12,7 @@ import secrets
 import ssl
 import time
 from base64 import b64encode
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,8 +43,45 @@ def tolerated(head: bytes) -> bytes:
     return b"\r\n".join(kept) + b"\r\n\r\n"
 
 
-class Deadline:
-    """Time of a monotonic clock at which every network operation ends. A limit for each part is not enough: an answer
+class _Stream(httpcore.NetworkStream):
+    """A connection that changes the head of each answer by `tolerated`."""
+
+    def __init__(self, stream: httpcore.NetworkStream, left: Callable[[float | None], float | None]) -> None:
+        self._stream, self._left = stream, left
+        self._head_follows = False
+
+    def read(self, max_bytes: int, timeout: float | None = None) -> bytes:
+        data = self._stream.read(max_bytes, self._left(timeout))
+        if not self._head_follows:
+            return data
+        self._head_follows = False
+        while data[:5] == b"HTTP/"[: len(data)] and len(data) < _MOST_HEAD:
+            if (end := _HEAD_END.search(data)) is not None:
+                return tolerated(data[: end.start()]) + data[end.end() :]
+            if not (part := self._stream.read(max_bytes, self._left(timeout))):
+                break
+            data += part
+        return data
+
+    def write(self, buffer: bytes, timeout: float | None = None) -> None:
+        self._head_follows = True
+        self._stream.write(buffer, self._left(timeout))
+
+    def close(self) -> None:
+        self._stream.close()
+
+    def start_tls(
+        self, ssl_context: ssl.SSLContext, server_hostname: str | None = None, timeout: float | None = None
+    ) -> httpcore.NetworkStream:
+        stream = self._stream.start_tls(ssl_context, server_hostname, self._left(timeout))
+        return _Stream(stream, self._left)
+
+    def get_extra_info(self, info: str) -> Any:
+        return self._stream.get_extra_info(info)
+
+
+class CameraNetwork(httpcore.SyncBackend):
+    """`until`: time of a monotonic clock at which every operation ends. A limit for each part is not enough: an answer
     that comes letter by letter would hold up its thread, and the watchdog would end the process of all cameras."""
 
     until = math.inf
@@ -56,60 +93,18 @@ class Deadline:
             raise httpcore.ReadTimeout("the deadline has passed")
         return None if seconds == math.inf else seconds
 
-
-class _Stream(httpcore.NetworkStream):
-    """A connection that changes the head of each answer by `tolerated`."""
-
-    def __init__(self, stream: httpcore.NetworkStream, deadline: Deadline) -> None:
-        self._stream, self._deadline = stream, deadline
-        self._head_follows = False
-
-    def read(self, max_bytes: int, timeout: float | None = None) -> bytes:
-        data = self._stream.read(max_bytes, self._deadline.left(timeout))
-        if not self._head_follows:
-            return data
-        self._head_follows = False
-        while data[:5] == b"HTTP/"[: len(data)] and len(data) < _MOST_HEAD:
-            if (end := _HEAD_END.search(data)) is not None:
-                return tolerated(data[: end.start()]) + data[end.end() :]
-            if not (part := self._stream.read(max_bytes, self._deadline.left(timeout))):
-                break
-            data += part
-        return data
-
-    def write(self, buffer: bytes, timeout: float | None = None) -> None:
-        self._head_follows = True
-        self._stream.write(buffer, self._deadline.left(timeout))
-
-    def close(self) -> None:
-        self._stream.close()
-
-    def start_tls(
-        self, ssl_context: ssl.SSLContext, server_hostname: str | None = None, timeout: float | None = None
-    ) -> httpcore.NetworkStream:
-        stream = self._stream.start_tls(ssl_context, server_hostname, self._deadline.left(timeout))
-        return _Stream(stream, self._deadline)
-
-    def get_extra_info(self, info: str) -> Any:
-        return self._stream.get_extra_info(info)
-
-
-class _Backend(httpcore.SyncBackend):
-    def __init__(self, deadline: Deadline) -> None:
-        self._deadline = deadline
-
     def connect_tcp(self, *given: Any, **named: Any) -> httpcore.NetworkStream:
-        named["timeout"] = self._deadline.left(named.get("timeout"))
-        return _Stream(super().connect_tcp(*given, **named), self._deadline)
+        named["timeout"] = self.left(named.get("timeout"))
+        return _Stream(super().connect_tcp(*given, **named), self.left)
 
 
 class CameraTransport(httpx.HTTPTransport):
     """Args: keep_s: seconds for which a connection is kept."""
 
-    def __init__(self, context: ssl.SSLContext, keep_s: float, deadline: Deadline) -> None:
+    def __init__(self, context: ssl.SSLContext, keep_s: float, network: CameraNetwork) -> None:
         # Instead of the base's, which has no parameter for the network.
         self._pool = httpcore.ConnectionPool(
-            ssl_context=context, max_connections=2, keepalive_expiry=keep_s, network_backend=_Backend(deadline)
+            ssl_context=context, max_connections=2, keepalive_expiry=keep_s, network_backend=network
         )
 
 

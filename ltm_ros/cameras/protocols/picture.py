@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from ltm_core.base.errors import ImageError
-from ltm_core.base.types import UInt8Array
+from ltm_core.base.types import BoolArray, UInt8Array
 from ltm_core.storage.image_io import decode_rgb
 from ltm_ros.cameras.protocols.credentials import PictureError
 
@@ -161,13 +161,6 @@ def is_night(thumbnail: UInt8Array) -> bool:
     return bool((brightest > DARK).mean() <= BRIGHT_SHARE or (colour > GREY).mean() <= BRIGHT_SHARE)
 
 
-def difference_hash(grey: UInt8Array) -> int:
-    """Return 64 bits: whether each of 8 x 8 cells is brighter than its left neighbour. Similar images differ in few
-    bits (Krawetz's dHash)."""
-    small = cv2.resize(grey, (9, 8), interpolation=cv2.INTER_AREA)
-    return int.from_bytes(np.packbits(small[:, 1:] > small[:, :-1]).tobytes(), "big")
-
-
 SAME_SHARE = 0.99
 """Share of exactly equal thumbnail pixels in a frozen image, whose caption may still change; noise and light change
 most pixels between exposures."""
@@ -194,7 +187,7 @@ class StuckPicture:
         self._after_s = after_s
         self._first = np.empty((0, 0, 3), np.uint8)
         self._same_since: float | None = None
-        self._turned_from: tuple[int, PtzReading] | None = None
+        self._turned_from: tuple[BoolArray, PtzReading] | None = None
         self._turns_unseen = 0
 
     def look(self, thumbnail: UInt8Array, direction: PtzReading | None, now: float) -> None:
@@ -204,7 +197,7 @@ class StuckPicture:
         if not telling or same_share(self._first, thumbnail) < SAME_SHARE:
             self._first, self._same_since = thumbnail, now
         if direction is not None and telling:
-            self._compare_turn(difference_hash(grey), direction)
+            self._compare_turn(grey, direction)
 
     def repeated(self, now: float) -> None:
         """Record that the camera sent the same bytes, or reported no change."""
@@ -219,9 +212,12 @@ class StuckPicture:
             return f"the same image for {now - self._same_since:.0f} s"
         return ""
 
-    def _compare_turn(self, bits: int, direction: PtzReading) -> None:
+    def _compare_turn(self, grey: UInt8Array, direction: PtzReading) -> None:
+        # Whether each of 8 x 8 cells is brighter than its left neighbour (Krawetz's dHash).
+        small = cv2.resize(grey, (9, 8), interpolation=cv2.INTER_AREA)
+        bits = small[:, 1:] > small[:, :-1]
         former, before = self._turned_from or (bits, direction)
-        unseen = (former ^ bits).bit_count() <= SAME_BITS
+        unseen = np.count_nonzero(former != bits) <= SAME_BITS
         turned = not at_rest(before, direction, Tolerance(TURNED_DEG, math.inf))
         if turned or self._turned_from is None:
             self._turned_from = bits, direction

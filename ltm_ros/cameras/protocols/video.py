@@ -106,17 +106,9 @@ class RtspReader:
             raise PictureError(f"an image of the stream cannot be decoded: {self._said(error)}") from None
         stream = None if frame.pts is None else float(frame.pts * frame.time_base)
         begun = self._container.start_time_realtime
-        taken = None
-        if stream is not None and begun:
-            taken = CameraTime(begun / 1e6 + stream, 0.0, "sender-report")
-        timing = Timing(
-            arrived=arrived,
-            oldest=0.5,
-            taken=taken,
-            stream=stream,
-            least_delay=self._config.least_delay,
-            trusted=self._config.clock == "trusted",
-        )
+        taken = CameraTime(begun / 1e6 + stream, 0.0, "sender-report") if stream is not None and begun else None
+        delay, trusted = self._config.least_delay, self._config.clock == "trusted"
+        timing = Timing(arrived, oldest=0.5, taken=taken, stream=stream, least_delay=delay, trusted=trusted)
         return CameraImage(timing, rgb=rgb)
 
     def _opened(self) -> Any:

@@ -8,8 +8,7 @@ from urllib.parse import SplitResult, urlsplit, urlunsplit
 
 from ltm_core.site.source_config import HttpSettings, NetworkSettings, PtzConfig, PtzSettings, SourceConfig
 from ltm_ros.cameras.protocols.credentials import SourceError
-from ltm_ros.cameras.protocols.http_client import HttpClient
-from ltm_ros.cameras.protocols.picture import PtzHead, PtzReading, Tolerance
+from ltm_ros.cameras.protocols.picture import PtzHead, PtzReading, Tolerance, stated_number
 
 _REST = {
     "vapix": Tolerance(0.05, 1.0),
@@ -61,11 +60,6 @@ MOST_BYTES = 512 << 10
 """Maximum bytes of an answer."""
 
 _DTD = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
-
-
-def client_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpClient:
-    """Return the connection to a PTZ head. Raises SourceError, UnauthorisedError."""
-    return HttpClient(settings_of(ptz, source), most_bytes=MOST_BYTES)
 
 
 def settings_of(ptz: PtzSettings, source: SourceConfig | None) -> HttpSettings:
@@ -124,27 +118,15 @@ def with_configured_host(stated: str, asked: str) -> str:
     return urlunsplit((own.scheme, own.netloc, parts.path, parts.query, ""))
 
 
-def local(element: ElementTree.Element) -> str:
-    """Return an element's name without its namespace, which cameras of one maker vary."""
-    return element.tag.rpartition("}")[2]
-
-
 def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
-    """Return the first element below others of these names, in this order, at any depth."""
-    here: ElementTree.Element | None = root
-    for name in names:
-        if here is None:
-            return None
-        here = next((e for e in here.iter() if e is not here and local(e) == name), None)
-    return here
+    """Return the first element below others of these names, in this order, at any depth, in any namespace: cameras of
+    one maker vary it."""
+    return root.find("." + "".join(f"//{{*}}{name}" for name in names))
 
 
 def number(text: str | None, what: str) -> float:
     """Parse a number. Raises SourceError."""
-    try:
-        value = float((text or "").strip())
-    except ValueError:
-        value = float("nan")
-    if not -1e9 < value < 1e9:
+    value = stated_number(text)
+    if value is None or not -1e9 < value < 1e9:
         raise SourceError(f"the PTZ head reports {text!r:.40} for {what}, which is not a number")
     return value

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import rasterio
 import yaml
-from typer.testing import CliRunner
+from scenes.command_line import ltm
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.fuel.class_map import read_fuel_map
@@ -13,7 +13,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.dem import Dem
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.grid import classes_to_msg
-from ltm_ros.cli.main import cli
 
 LOCAL = GridGeometry(-25.0, 75.0, 30.0, 4, 3)  # in the map frame
 CLASSES = np.array([[1, 2, 3, 255], [4, 255, 5, 6], [0, 1, 1, 2]], np.uint8)
@@ -42,14 +41,8 @@ def bag(tmp_path: Path) -> Path:
     return tmp_path / "bag"
 
 
-def export(*arguments: object) -> str:
-    result = CliRunner().invoke(cli, ["export", *map(str, arguments)], catch_exceptions=False)
-    assert result.exit_code == 0
-    return result.output
-
-
 def test_the_last_map_of_a_bag(bag: Path, site_file: Path, tmp_path: Path) -> None:
-    output = export(bag, "--site", site_file, "--out", tmp_path / "out.tif")
+    output = ltm("export", bag, "--site", site_file, "--out", tmp_path / "out.tif")
     assert "4 x 3 cells of 30 m, EPSG:32611" in output
     classes, geometry = read_fuel_map(tmp_path / "out.tif")
     np.testing.assert_array_equal(classes, CLASSES)
@@ -57,8 +50,8 @@ def test_the_last_map_of_a_bag(bag: Path, site_file: Path, tmp_path: Path) -> No
 
 
 def test_in_landfires_crs(bag: Path, site_file: Path, tmp_path: Path) -> None:
-    assert "EPSG:5070" in export(
-        bag, "--site", site_file, "--out", tmp_path / "out.tif", "--crs", "EPSG:5070", "--overwrite"
+    assert "EPSG:5070" in ltm(
+        "export", bag, "--site", site_file, "--out", tmp_path / "out.tif", "--crs", "EPSG:5070", "--overwrite"
     )
     classes, geometry = read_fuel_map(tmp_path / "out.tif")
     assert (geometry.crs, geometry.x_min % 30, geometry.y_max % 30) == ("EPSG:5070", 15.0, 15.0)
@@ -70,7 +63,7 @@ def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> No
     around = LOCAL.translated(346_000.0 - 60, 3_783_000.0 + 60, "EPSG:32611")
     wide = GridGeometry(around.x_min, around.y_max, 30.0, 9, 8, "EPSG:32611")
     Dem(np.add.outer(-6.0 * np.arange(8.0), np.zeros(9)).astype(np.float32) + 500, wide).save(tmp_path / "dem.tif")
-    export(bag, "--site", site_file, "--out", tmp_path / "map.lcp")
+    ltm("export", bag, "--site", site_file, "--out", tmp_path / "map.lcp")
     with rasterio.open(tmp_path / "map.lcp") as source:
         bands = source.read()
     # Grass, shrubs and trees of the dry region; nothing is known of the unseen cells and of what no life form is.
@@ -78,7 +71,7 @@ def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> No
     np.testing.assert_array_equal(bands[1], 11)  # atan(6 / 30)
     np.testing.assert_array_equal(bands[2], 180)  # it falls to the south
     np.testing.assert_array_equal(bands[4][0], [0, 0, 55, -9999])
-    export(bag, "--site", site_file, "--out", tmp_path / "map.kmz")
+    ltm("export", bag, "--site", site_file, "--out", tmp_path / "map.kmz")
     assert sorted(zipfile.ZipFile(tmp_path / "map.kmz").namelist()) == ["doc.kml", "legend.png", "map.png"]
 
 
@@ -111,10 +104,10 @@ def test_the_requested_format_decides(
     out = tmp_path / name
     if isinstance(bands, str):
         with pytest.raises(ConfigError, match=bands):
-            export(bag, "--site", site_file, "--out", out, *options)
+            ltm("export", bag, "--site", site_file, "--out", out, *options)
         assert not out.exists()
         return
-    export(bag, "--site", site_file, "--out", out, *options)
+    ltm("export", bag, "--site", site_file, "--out", out, *options)
     with rasterio.open(out) as source:
         assert source.count == bands
         assert source.dtypes[0] == ("uint8" if bands == 1 else "int16")

@@ -3,13 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from scenes.command_line import ltm
 
 from ltm_core.base.errors import LtmError
 from ltm_core.fuel.export.landscape import Landscape
 from ltm_core.fuel.export.landscape_io import write_landscape
 from ltm_core.geometry.grid import GridGeometry
-from ltm_ros.cli.main import cli
 
 GRID = GridGeometry(345_975.0, 3_783_195.0, 30.0, 9, 7, "EPSG:32611")
 USUAL = ("--ignition", "346110,3783090", "--wind", "8,45", "--moisture", "D2L2")
@@ -26,10 +25,6 @@ def landscapes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, P
         bands[3, :, 1] = 98
         found.append(write_landscape(tmp_path / name, Landscape(bands, GRID)))
     return found[0], found[1]
-
-
-def fire(*arguments: object) -> None:
-    CliRunner().invoke(cli, ["fire", *map(str, arguments)], catch_exceptions=False)
 
 
 def test_mistakes(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
@@ -50,5 +45,5 @@ def test_mistakes(landscapes: tuple[Path, Path], tmp_path: Path) -> None:
         ((tmp_path / "none.tif", *USUAL, *before), r"none.tif"),
     ):
         with pytest.raises(LtmError, match=message):
-            fire(*arguments)
+            ltm("fire", *arguments)
         assert not out.exists()

@@ -16,12 +16,6 @@ from ltm_core.base.errors import ConfigError, RasterError
 from ltm_ros.cli import main
 from ltm_ros.cli.demo import to_type
 
-COMMANDS = (
-    "demo", "init", "check", "run", "replay", "record", "import", "trace", "train", "export", "view",
-    "doctor", "status", "upgrade", "rollback", "models", "pose", "locate", "viewshed",
-    "fire", "mask", "label", "cameras", "region", "certs", "reprocess", "assess",
-)  # fmt: skip
-
 
 def ltm(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"COLUMNS": "200", "NO_COLOR": "1"}
@@ -64,12 +58,12 @@ def test_the_examples_parse(path: str, line: str, tmp_path: Path, monkeypatch: p
 def test_help_names_every_command() -> None:
     result = CliRunner().invoke(main.cli, ["--help"], env={"COLUMNS": "200"})
     assert result.exit_code == 0
-    assert all(f" {command} " in result.output for command in COMMANDS)
+    assert all(f" {command} " in result.output for command in main.Commands())
 
 
 def test_no_command_has_more_than_fourteen_options() -> None:
     counts = {path: sum(p.param_type_name == "option" for p in command.params) for path, command in ALL.items()}
-    assert len(counts) > len(COMMANDS)
+    assert len(counts) > len(main.Commands()) >= 27
     assert {path: count for path, count in counts.items() if count > 14} == {}
 
 
@@ -124,10 +118,6 @@ def _raising(error: Exception) -> None:
         (
             ModuleNotFoundError("No module named 'rerun'", name="rerun.blueprint"),
             "ltm: needs rerun.blueprint: pip install 'ltm[view]', or see `ltm doctor`\n",
-        ),
-        (
-            ModuleNotFoundError("No module named 'rerun'", name="rerun"),
-            "ltm: needs rerun: pip install 'ltm[view]'",
         ),
     ],
 )

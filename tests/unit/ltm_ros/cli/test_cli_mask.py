@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from scenes.command_line import ltm
 from scenes.small_site import NAME, write_small_site
 from scenes.tower_pictures import HEIGHT, WIDTH, corners, tower_picture
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import LtmError
 from ltm_core.site.networks import site_scene_filter
@@ -16,16 +16,7 @@ from ltm_core.vision.masks import Looking
 from ltm_msgs_py.bag.writer import BagWriter
 from ltm_msgs_py.image import compressed_to_msg, encode_rgb
 from ltm_msgs_py.pose import pose_to_msg
-from ltm_ros.cli.main import cli
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, POSE, camera_topic
-
-
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(cli, [str(a) for a in arguments])
-    if isinstance(result.exception, LtmError):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +31,10 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_person_confirms_what_is_proposed(photos: Path, tmp_path: Path) -> None:
     site = write_small_site(tmp_path, recording=False).path
     given = [photos, "--only", "west*", "--site", site, "--camera", "tower"]
-    out = run("mask", *given)
+    out = ltm("mask", *given)
     assert "confirm with --keep" in out
     numbers = [area.number for area in read_areas(tmp_path / "tower_mask.json") if area.kind == "lens"]
-    kept = run("mask", *given, "--keep", ",".join(str(n) for n in numbers))
+    kept = ltm("mask", *given, "--keep", ",".join(str(n) for n in numbers))
     line = yaml.safe_load(kept[kept.index("cameras:") :])
     assert line == {"cameras": {"tower": {"mask": "tower_mask.png"}}}
     content = yaml.safe_load(site.read_text())
@@ -66,7 +57,7 @@ def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) 
             bag.write(camera_topic(NAME, "tower", IMAGE_COMPRESSED), message, stamp)
             bag.write(camera_topic(NAME, "tower", POSE), pose_to_msg(small.tower_pose(azimuth), stamp), stamp)
     given = [tmp_path / "bag", "--site", small.path, "--camera", "tower", "--view", "east"]
-    out = run("mask", *given, "--looking", "70,-14", "--keep", "all")
+    out = ltm("mask", *given, "--looking", "70,-14", "--keep", "all")
     assert "2 images of one camera" in out
     (line,) = yaml.safe_load(out[out.index("cameras:") :])["cameras"]["tower"]["view_masks"]
     assert line == {"name": "east", "azimuth_deg": 70.0, "pitch_deg": -14.0, "mask": "tower_east_mask.png"}
@@ -79,25 +70,25 @@ def test_of_a_turning_camera_the_pictures_of_one_view_are_taken(tmp_path: Path) 
     assert hidden is not None
     assert (hidden & corners()).any()
     with pytest.raises(LtmError, match="no image of tower has a pose in the direction of view east"):
-        run("mask", *given, "--looking", "200,-14", "--keep", "all")
+        ltm("mask", *given, "--looking", "200,-14", "--keep", "all")
 
 
 def test_mistakes_are_told_in_words(photos: Path, tmp_path: Path) -> None:
     out = ["--out", tmp_path / "m.png"]
     with pytest.raises(LtmError, match="different sizes"):
-        run("mask", photos, *out)
+        ltm("mask", photos, *out)
     with pytest.raises(LtmError, match="--site and --camera together"):
-        run("mask", photos, "--camera", "west", *out)
+        ltm("mask", photos, "--camera", "west", *out)
     with pytest.raises(LtmError, match="--view and --looking together"):
-        run("mask", photos, "--view", "west", *out)
+        ltm("mask", photos, "--view", "west", *out)
     for said in ("70", "70,west", "70,-14,30,5", "500,0"):
         with pytest.raises(LtmError, match="--looking"):
-            run("mask", photos, "--view", "west", "--looking", said, *out)
+            ltm("mask", photos, "--view", "west", "--looking", said, *out)
     with pytest.raises(LtmError, match="no photos match 'east"):
-        run("mask", photos, "--only", "east*", *out)
+        ltm("mask", photos, "--only", "east*", *out)
     with pytest.raises(LtmError, match="there is no proposal 99"):
-        run("mask", photos, "--only", "west*", "--keep", "1,99", *out)
+        ltm("mask", photos, "--only", "west*", "--keep", "1,99", *out)
     with pytest.raises(LtmError, match="expected numbers of proposals"):
-        run("mask", photos, "--only", "west*", "--keep", "one", *out)
-    assert "nothing to mask" in run("mask", photos, "--only", "west*", "--keep", "none", *out)
+        ltm("mask", photos, "--only", "west*", "--keep", "one", *out)
+    assert "nothing to mask" in ltm("mask", photos, "--only", "west*", "--keep", "none", *out)
     assert not (tmp_path / "m.png").exists()

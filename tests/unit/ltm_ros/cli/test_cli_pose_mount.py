@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from scenes.command_line import ltm
 from scenes.mountain_view import BEND, ORIGIN, PLACE, eye, view, write_site
 from scenes.networks import write_classifier
 from scenes.small_site import PAINT, SKY
-from typer.testing import CliRunner
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.types import Float64Array, UInt8Array
@@ -19,7 +19,6 @@ from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.visibility.footprint import pixel_rays
 from ltm_core.vision.labels import Label
-from ltm_ros.cli.main import cli
 
 TABLE = [{"zoom": 1.0, "hfov_deg": 52.0}, {"zoom": 400.0, "hfov_deg": 26.0}]
 LENS = LensConfig.model_validate({"width": 480, "height": 300, "zoom": TABLE}).lens()
@@ -52,14 +51,6 @@ def landmarks(path: Path, pans: tuple[float, ...], lens_factor: float = 1.0) -> 
     return path
 
 
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(cli, ["pose", "mount", *map(str, arguments)], env={"COLUMNS": "200"})
-    if isinstance(result.exception, LtmError):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 def errors_deg(site: Site, tilt: float = -2.0) -> list[float]:
     mount = site.camera("north").mount
     assert mount is not None
@@ -76,7 +67,7 @@ def test_landmarks_of_several_presets_calibrate_the_head_in_the_site_file(tmp_pa
     path = mounted_site(tmp_path)
     assert max(errors_deg(load_site(path))) > 1.0
     points = landmarks(tmp_path / "points.csv", (10.0, 100.0, 190.0, 280.0), lens_factor=1.03)
-    said = run(path, "north", "--points", points)
+    said = ltm("pose", "mount", path, "north", "--points", points)
     assert "azimuth at pan 0" in said
     assert path.read_text().startswith("# The ridge.")
     site = load_site(path)
@@ -87,8 +78,8 @@ def test_landmarks_of_several_presets_calibrate_the_head_in_the_site_file(tmp_pa
     assert mount.calibrated
     assert mount.lens.lens().camera(1.0).fx == pytest.approx(1.03 * LENS.camera(1.0).fx, rel=1e-3)
     with pytest.raises(ConfigError, match="calibrated already"):
-        run(path, "north", "--points", points)
-    run(path, "north", "--points", points, "--overwrite")
+        ltm("pose", "mount", path, "north", "--points", points)
+    ltm("pose", "mount", path, "north", "--points", points, "--overwrite")
     assert max(errors_deg(load_site(path))) < 0.02
 
 
@@ -123,7 +114,7 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
         Image.fromarray(photo).save(tmp_path / f"preset{k}.png")
         lines.append(f"preset{k}.png,{pan},2.0,1")
     (tmp_path / "readings.csv").write_text("\n".join(lines))
-    said = run(path, "north", "--photos", tmp_path)
+    said = ltm("pose", "mount", path, "north", "--photos", tmp_path)
     assert "4 images agree" in said
     assert max(errors_deg(load_site(path), tilt=2.0)) < 0.15
 
@@ -140,4 +131,4 @@ def test_pictures_of_several_presets_calibrate_the_head(tmp_path: Path) -> None:
 def test_mistakes_are_told(tmp_path: Path, arguments: list[str], told: str) -> None:
     places = {"site": mounted_site(tmp_path), "points": landmarks(tmp_path / "p.csv", (0.0, 90.0)), "folder": tmp_path}
     with pytest.raises(LtmError, match=told):
-        run(*(argument.format(**places) for argument in arguments))
+        ltm("pose", "mount", *(argument.format(**places) for argument in arguments))

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from scenes.command_line import ltm
 from scenes.mountain_view import CAMERA, ORIGIN, TRUE, eye, view, write_site
-from typer.testing import CliRunner
 
-from ltm_core.base.errors import LtmError
 from ltm_core.geometry.pose import Pose
 from ltm_core.tracing.trace_io import load_picture_config
 from ltm_core.vision.labels import Label
 from ltm_core.vision.segmenter import Segmenter
-from ltm_ros.cli.main import cli
 
 
 @pytest.fixture(scope="module")
@@ -45,11 +43,7 @@ def guess(**changed: object) -> dict[str, object]:
 
 
 def run(files: Path, *arguments: str, code: int = 0) -> str:
-    result = CliRunner().invoke(cli, ["pose", "photo", "--dem", str(files / "dem.tif"), *arguments])
-    if isinstance(result.exception, LtmError):
-        raise result.exception
-    assert result.exit_code == code, result.output
-    return result.output
+    return ltm("pose", "photo", "--dem", files / "dem.tif", *arguments, status=code)
 
 
 def test_a_photo_gives_pose_picture_and_figures(files: Path, tmp_path: Path) -> None:

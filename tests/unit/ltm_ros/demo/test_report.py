@@ -10,7 +10,7 @@ from scenes.depth_score import score_depth
 from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.demo.report import CameraPictures, ReportData, Table, render_report, write_report
+from ltm_ros.demo.report import CameraPictures, ReportData, Table, write_report
 from ltm_ros.runtime.health import NodeRow
 
 LABELS = LabelSet.load()
@@ -100,8 +100,8 @@ def test_report_is_one_wellformed_file_without_outside_resources(tmp_path: Path)
         assert cv2.imdecode(data, cv2.IMREAD_COLOR) is not None
 
 
-def test_text_is_escaped() -> None:
-    html = render_report(full())
+def test_text_is_escaped(tmp_path: Path) -> None:
+    html = write_report(tmp_path / "report.html", full()).read_text(encoding="utf-8")
     assert "Ridge &lt;demo&gt;" in html
     assert "cameras &amp; twenty" in html
     assert "<demo>" not in html

@@ -2,8 +2,9 @@
 
 import resource
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -36,10 +37,6 @@ def services() -> Iterator[SiteServices]:
         yield services
 
 
-def sources(services: SiteServices, folder: Path, timeout_s: float = 5.0, **further: dict[str, object]) -> list[Source]:
-    return load_sources(services.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, timeout_s))
-
-
 def only(name: str, listed: list[Source]) -> list[Source]:
     return [source for source in listed if source.name == name]
 
@@ -57,25 +54,23 @@ def test_open_topography_delivers_heights_with_the_datum_of_the_record(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OPENTOPOGRAPHY_API_KEY", KEY)
-    source = choose(Kind.COARSE_ELEVATION, HERE, only("opentopography_cop30", sources(services, tmp_path)))
-    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
+    choice = choose("coarser", HERE, only("opentopography_cop30", services.loaded(tmp_path)))
+    fetched = choice.fetch(tmp_path / "out")
     values, about = opened(fetched.files[0])
     np.testing.assert_allclose(values, services.heights(*grid(*about.transform @ (0, 0), 1 / 3600, *about.shape[::-1])))
     west, south, east, north = HERE.bounds_lonlat
     assert about.bounds.left < west < east < about.bounds.right
     assert about.bounds.bottom < south < north < about.bounds.top
     assert (fetched.vertical_crs, fetched.year) == ("EPSG:3855", 2015)
-    assert KEY not in str(fetched)
-    assert KEY not in str(source.plan(HERE))
+    assert KEY not in f"{fetched} {choice.plan}"
 
 
 def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
-    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
-    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
-    assert (source.name, fetched.year) == ("landfire", 2024)
+    fetched = choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out")
+    assert (fetched.source, fetched.year) == ("landfire", 2024)
     fetched_codes(fetched.files)
     (path,) = fetched.files
     quantities = {band.quantity for band in open_bands(path)}
@@ -91,8 +86,7 @@ def test_the_newest_edition_that_is_complete_for_the_area_is_used(
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
     services.fuel_years = known
-    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
-    assert source.fetch(source.plan(HERE), tmp_path / "out").year == year
+    assert choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out").year == year
 
 
 def test_an_interrupted_job_is_continued_and_not_submitted_again(
@@ -100,22 +94,21 @@ def test_an_interrupted_job_is_continued_and_not_submitted_again(
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
     services.job_states = ["Pending"]
-    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
+    choice = choose("fuel", HERE, services.loaded(tmp_path))
     with monkeypatch.context() as soon:
         soon.setattr("ltm_ros.site_setup.services._JOB_S", 0.1)
         with pytest.raises(FetchError, match="not finished"):
-            source.fetch(source.plan(HERE), tmp_path / "out")
+            choice.fetch(tmp_path / "out")
     services.job_states = ["Succeeded"]
-    fetched_codes(source.fetch(source.plan(HERE), tmp_path / "out").files)
+    fetched_codes(choice.fetch(tmp_path / "out").files)
     assert services.count("/job/submit") == 1
 
 
 def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteServices, tmp_path: Path) -> None:
-    source = choose(Kind.FUEL, HERE, sources(services, tmp_path))
-    plan = source.plan(HERE)
-    fetched = source.fetch(plan, tmp_path / "out")
-    assert source.name == "landfire_wcs"
-    assert "LANDFIRE_EMAIL" in plan.notes[0]
+    choice = choose("fuel", HERE, services.loaded(tmp_path))
+    fetched = choice.fetch(tmp_path / "out")
+    assert fetched.source == "landfire_wcs"
+    assert "LANDFIRE_EMAIL" in choice.plan.notes[0]
     assert [path.name for path in fetched.files] == [f"LF2024_{layer}_CONUS.tif" for layer in LAYERS]
     fetched_codes(fetched.files)
 
@@ -123,19 +116,15 @@ def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteS
 def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, tmp_path: Path) -> None:
     heights = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
     services.files["/cog/mine.tif"] = heights
-    mine = {"kinds": ["elevation"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
+    mine = {"kinds": ["dem"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
             "resolution_m": 400}  # fmt: skip
-    listed = sources(services, tmp_path, mine=mine, copernicus_glo30={"year": 2021})
+    listed = services.loaded(tmp_path, mine=mine, copernicus_glo30={"year": 2021})
     assert listed[0].name == "mine"
     assert next(s for s in listed if s.name == "copernicus_glo30").year == 2021
-    source = choose(Kind.ELEVATION, HERE, listed)
-    fetched = source.fetch(source.plan(HERE), tmp_path / "out")
+    fetched = choose("dem", HERE, listed).fetch(tmp_path / "out")
     assert (fetched.source, fetched.licence, fetched.vertical_crs) == ("mine", "mine", None)
     with rasterio.open(fetched.files[0]) as raster:
         assert raster.tags()["SOURCE"] == "mine"
-
-
-Situation = Callable[[SiteServices, pytest.MonkeyPatch], dict[str, object]]
 
 
 def keyed(monkeypatch: pytest.MonkeyPatch, key: str = KEY) -> None:
@@ -143,96 +132,57 @@ def keyed(monkeypatch: pytest.MonkeyPatch, key: str = KEY) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
 
 
-def wrong_key(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch, "wrong")
-    return {}
-
-
-def missing_key(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    return {}
-
-
-def quota(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.statuses["/ot/"], services.retry_after = [429] * 99, "0"
-    return {}
-
-
-def down(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.statuses["/"] = [503] * 99
-    return {}
-
-
-def unreachable(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    return {name: {"address": "http://127.0.0.1:9/x"} for name in ("opentopography_cop30", "landfire")}
-
-
-def truncated(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.cut["/ot/"] = services.cut["/lfps/result"] = 99
-    return {}
-
-
-def silent(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.stall_s = 1.0
-    return {}
-
-
-def full_disk(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    monkeypatch.setattr("ltm_ros.site_setup.web.free_bytes", lambda path: 1000)
-    return {}
-
-
-def failed_job(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.job_states = ["Executing", "Failed"]
-    return {}
-
-
-def no_region(services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
-    keyed(monkeypatch)
-    services.fuel_years = {}
-    services.statuses["/ot/"] = [204] * 9
+def arrange(situation: str, services: SiteServices, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, object]]:
+    """Make a situation; return the keys of the sources that belong to it."""
+    if situation != "missing key":
+        keyed(monkeypatch, "wrong" if situation == "wrong key" else KEY)
+    match situation:
+        case "quota":
+            services.statuses["/ot/"], services.retry_after = [429] * 99, "0"
+        case "down":
+            services.statuses["/"] = [503] * 99
+        case "unreachable":
+            return {name: {"address": "http://127.0.0.1:9/x"} for name in ("opentopography_cop30", "landfire")}
+        case "truncated":
+            services.cut["/ot/"] = services.cut["/lfps/result"] = 99
+        case "silent":
+            services.stall_s = 1.0
+        case "full disk":
+            monkeypatch.setattr("ltm_ros.site_setup.web.free_bytes", lambda path: 1000)
+        case "failed job":
+            services.job_states = ["Executing", "Failed"]
+        case "no region":
+            services.fuel_years, services.statuses["/ot/"] = {}, [204] * 9
     return {}
 
 
 @pytest.mark.parametrize(
     ("situation", "topography", "fuel"),
     [
-        (wrong_key, "key", ""),
-        (missing_key, "OPENTOPOGRAPHY_API_KEY", "LANDFIRE_EMAIL"),
-        (quota, "429", ""),
-        (down, "503", "503"),
-        (unreachable, "127.0.0.1", "127.0.0.1"),
-        (truncated, "127.0.0.1", "127.0.0.1"),
-        (silent, "127.0.0.1", "127.0.0.1"),
-        (full_disk, "MB", "MB"),
-        (failed_job, "", "ERROR 001"),
-        (no_region, "204", "FBFM40"),
+        ("wrong key", "key", ""),
+        ("missing key", "OPENTOPOGRAPHY_API_KEY", "LANDFIRE_EMAIL"),
+        ("quota", "429", ""),
+        ("down", "503", "503"),
+        ("unreachable", "127.0.0.1", "127.0.0.1"),
+        ("truncated", "127.0.0.1", "127.0.0.1"),
+        ("silent", "127.0.0.1", "127.0.0.1"),
+        ("full disk", "MB", "MB"),
+        ("failed job", "", "ERROR 001"),
+        ("no region", "204", "FBFM40"),
     ],
 )
 def test_a_situation_is_a_clear_error_and_leaves_no_file(
-    situation: Situation, topography: str, fuel: str, services: SiteServices, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    further = situation(services, monkeypatch)
-    listed = sources(services, tmp_path, 0.2 if situation is silent else 5.0, **further)
-    cases = [(Kind.ELEVATION, "opentopography_cop30", topography), (Kind.FUEL, "landfire", fuel)]
+    situation: str, topography: str, fuel: str, services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    further = arrange(situation, services, monkeypatch)
+    listed = services.loaded(tmp_path, 0.2 if situation == "silent" else 5.0, **further)
+    cases: list[tuple[Kind, str, str]] = [("dem", "opentopography_cop30", topography), ("fuel", "landfire", fuel)]
     for kind, name, said in cases:
         if said:
             with pytest.raises(LtmError, match=said) as error:
-                fetch_from(kind, name, listed, tmp_path / "out")
+                choose(kind, HERE, only(name, listed)).fetch(tmp_path / "out")
             assert KEY not in str(error.value)
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".zip") or path.parent.name == "out"]
-
-
-def fetch_from(kind: Kind, name: str, listed: list[Source], folder: Path) -> None:
-    source = choose(kind, HERE, only(name, listed))
-    source.fetch(source.plan(HERE), folder)
 
 
 @pytest.mark.parametrize(
@@ -247,8 +197,8 @@ def test_an_area_without_a_source_names_the_reason_of_each(
     area: Area, names: str, services: SiteServices, tmp_path: Path
 ) -> None:
     with pytest.raises(NoCoverageError, match=names) as error:
-        choose(Kind.ELEVATION, area, sources(services, tmp_path))
-    elevation = [source for source in load_sources() if Kind.ELEVATION in source.kinds]
+        choose("dem", area, services.loaded(tmp_path))
+    elevation = [source for source in load_sources() if "dem" in source.kinds]
     assert all(source.name in str(error.value) for source in elevation)
 
 
@@ -277,14 +227,14 @@ def test_place_decides_the_source(
     else:
         corner = f"{north_south}{abs(south):02d}_00_{east_west}{abs(west):03d}".upper()
         services.files[f"/cog/GLO30_{corner}.tif"] = tile
-    listed = sources(services, tmp_path)
-    assert choose(Kind.ELEVATION, area, listed).name == elevation
+    listed = services.loaded(tmp_path)
+    assert choose("dem", area, listed).source.name == elevation
     if fuel:
-        source = choose(Kind.FUEL, area, listed)
-        assert {source.name: source.plan(area).year} == fuel
+        choice = choose("fuel", area, listed)
+        assert {choice.source.name: choice.plan.year} == fuel
     else:
         with pytest.raises(NoCoverageError):
-            choose(Kind.FUEL, area, listed)
+            choose("fuel", area, listed)
 
 
 def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
@@ -294,15 +244,15 @@ def test_a_service_that_is_down_gives_way_to_the_next_source_with_a_note(
         np.ones((360, 360), np.float32), "EPSG:4269", -119, 35.0, 1 / 360
     )
     services.statuses["/tnm/"] = [502] * 99
-    source = choose(Kind.ELEVATION, HERE, sources(services, tmp_path))
-    assert source.name == "usgs_3dep_10m"
-    assert "502" in source.plan(HERE).notes[0]
+    choice = choose("dem", HERE, services.loaded(tmp_path))
+    assert choice.source.name == "usgs_3dep_10m"
+    assert "502" in choice.plan.notes[0]
 
 
 def test_an_old_fuel_map_is_noted_with_its_year(services: SiteServices, tmp_path: Path) -> None:
     services.fuel_years = {2016: 1.0}
-    source = choose(Kind.FUEL, HERE, only("landfire_wcs", sources(services, tmp_path, landfire_wcs={"year": 2016})))
-    assert "2016" in source.plan(HERE).notes[0]
+    listed = only("landfire_wcs", services.loaded(tmp_path, landfire_wcs={"year": 2016}))
+    assert "2016" in choose("fuel", HERE, listed).plan.notes[0]
 
 
 def test_requests_go_through_the_proxy_of_the_environment(
@@ -323,7 +273,7 @@ def test_a_proxy_that_cannot_be_used_is_a_clear_error(proxy: str, monkeypatch: p
 @pytest.mark.parametrize("address", ["http://[bad/x", "http://127.0.0.1:999999/x", "http://xn--\u2603.invalid/x"])
 def test_an_address_that_is_none_is_a_clear_error(address: str, services: SiteServices, tmp_path: Path) -> None:
     with pytest.raises(LtmError):
-        choose(Kind.FUEL, HERE, only("landfire_wcs", sources(services, tmp_path, landfire_wcs={"address": address})))
+        choose("fuel", HERE, only("landfire_wcs", services.loaded(tmp_path, landfire_wcs={"address": address})))
 
 
 @pytest.mark.parametrize(
@@ -349,13 +299,13 @@ def test_a_coverage_is_cut_at_the_edges_of_its_cells(
 def test_the_page_lists_the_sources() -> None:
     page = project_path("docs/site.md").read_text(encoding="utf-8")
     listed = load_sources()
-    assert {kind for source in listed for kind in source.kinds} == set(Kind)
+    assert {kind for source in listed for kind in source.kinds} == set(get_args(Kind))
     assert not [source.name for source in listed if f"`{source.name}`" not in page]
 
 
 def test_names_and_keys_that_do_not_exist_are_errors(services: SiteServices, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="adress"):
-        sources(services, tmp_path, copernicus_glo30={"adress": "x"})
+        services.loaded(tmp_path, copernicus_glo30={"adress": "x"})
     (tmp_path / "bad.yaml").write_text("usgs_3dep_1m: {year: 2020}\n")
     with pytest.raises(ConfigError):
         load_sources(tmp_path / "bad.yaml")
@@ -376,11 +326,11 @@ def test_a_download_continues_where_it_broke_off(services: SiteServices, tmp_pat
 
 def test_a_file_with_a_wrong_checksum_is_not_kept(services: SiteServices, tmp_path: Path) -> None:
     services.files["/cog/mine.tif"] = geotiff(np.ones((80, 90), np.float32), "EPSG:4326", -118.6, 34.2, 0.004)
-    mine = {"kinds": ["elevation"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
+    mine = {"kinds": ["dem"], "protocol": "url", "address": f"{services.url}/cog/mine.tif", "licence": "mine",
             "resolution_m": 400, "sha256": "0" * 64}  # fmt: skip
-    source = choose(Kind.ELEVATION, HERE, sources(services, tmp_path, mine=mine))
+    choice = choose("dem", HERE, services.loaded(tmp_path, mine=mine))
     with pytest.raises(FetchError, match="0000"):
-        source.fetch(source.plan(HERE), tmp_path / "out")
+        choice.fetch(tmp_path / "out")
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".part")]
 
 

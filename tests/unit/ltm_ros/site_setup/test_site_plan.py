@@ -3,12 +3,12 @@
 import errno
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 import rasterio
-from rasterio.transform import from_origin
+from scenes.site_services import geotiff
 
 from ltm_core.base.errors import ConfigError, LtmError, RasterError
 from ltm_core.raster.dem import Dem
@@ -38,18 +38,14 @@ def write_plane(path: Path, area: Area, step: float, values: Callable[[Any, Any]
     west, south, east, north = area.bounds_lonlat
     width, height = round((east - west) / step) + 2, round((north - south) / step) + 2
     lon, lat = np.meshgrid(west + (np.arange(width) - 0.5) * step, north - (np.arange(height) - 0.5) * step)
-    with rasterio.open(
-        path, "w", driver="GTiff", width=width, height=height, count=1, dtype=dtype, crs="EPSG:4326",
-        transform=from_origin(west - step, north + step, step, step),
-    ) as sink:  # fmt: skip
-        sink.write(values(lon, lat).astype(dtype), 1)
+    path.write_bytes(geotiff(values(lon, lat).astype(dtype), "EPSG:4326", west - step, north + step, step))
     return path
 
 
 class Maker:
     """A source that has every kind of raster, everywhere."""
 
-    licence, address, vertical_crs, passed_over = "public domain", "http://127.0.0.1/", "EPSG:3855", ()
+    licence, address, vertical_crs = "public domain", "http://127.0.0.1/", "EPSG:3855"
 
     def __init__(self, name: str, kinds: Sequence[Kind], resolution_m: float, year: int = 2024) -> None:
         self.name, self.kinds, self.resolution_m, self.year = name, kinds, resolution_m, year
@@ -68,7 +64,7 @@ class Maker:
         if self.error is not None:
             (folder / "half.tif").write_bytes(b"II*")
             raise self.error
-        fuel = Kind.FUEL in self.kinds
+        fuel = "fuel" in self.kinds
         step = self.resolution_m / 111_320
         values = (lambda lon, lat: np.full(lon.shape, 102)) if fuel else elevation
         name = "LC24_F40.tif" if fuel else "a.tif"
@@ -80,9 +76,9 @@ class Maker:
 @pytest.fixture
 def makers() -> list[Any]:
     return [
-        Maker("fine", [Kind.ELEVATION], 30.0),
-        Maker("coarse", [Kind.COARSE_ELEVATION], 200.0),
-        Maker("fuels", [Kind.FUEL], 30.0, 2022),
+        Maker("fine", ["dem"], 30.0),
+        Maker("coarse", ["coarser"], 200.0),
+        Maker("fuels", ["fuel"], 30.0, 2022),
     ]
 
 
@@ -168,16 +164,13 @@ def test_canopy_heights_are_added_to_the_ground(makers: list[Any], tmp_path: Pat
 
 def test_the_crs_of_an_own_dem_is_the_sites(makers: list[Any], tmp_path: Path) -> None:
     dem = tmp_path / "dem.tif"
-    with rasterio.open(
-        dem, "w", driver="GTiff", width=300, height=280, count=1, dtype="float32", crs="EPSG:26911",
-        transform=from_origin(363_000, 3_775_000, 10, 10),
-    ) as sink:  # fmt: skip
-        sink.write(np.linspace(100, 300, 300 * 280, dtype=np.float32).reshape(280, 300), 1)
+    heights = np.linspace(100, 300, 300 * 280, dtype=np.float32)
+    dem.write_bytes(geotiff(heights.reshape(280, 300), "EPSG:26911", 363_000, 3_775_000, 10))
     made(wish(tmp_path / "site", files={"dem": [dem]}, lonlat=(-118.47, 34.09)), makers)
     assert load_site(tmp_path / "site/site.yaml").crs == "EPSG:26911"
     stored = Dem.open(tmp_path / "site/dem.tif")
     assert stored.geometry.resolution == 10
-    assert np.isin(stored.elevation[5, 5], np.linspace(100, 300, 300 * 280, dtype=np.float32))  # no new value
+    assert np.isin(stored.elevation[5, 5], heights)  # no new value
 
 
 def test_a_camera_outside_the_radius_stands_on_the_coarse_dem(makers: list[Any], tmp_path: Path) -> None:
@@ -257,9 +250,9 @@ def test_an_update_adds_a_raster_and_keeps_the_rest(key: str, makers: list[Any],
     before = {file: file.read_bytes() for file in out.rglob("*.tif")}
     text = (out / "site.yaml").read_text() + "model: landscape_v4  # mine\n"
     (out / "site.yaml").write_text(text)
-    newer = Maker("newer", list(Kind), 30.0, 2025)
+    newer = Maker("newer", get_args(Kind), 30.0, 2025)
     if key == "fuel":
-        newer.kinds = [Kind.FUEL]
+        newer.kinds = ["fuel"]
     change = Wish(out, update=key, cameras=[parse_camera("south=-118.471,34.085,height=9,azimuth=3,hfov=60")])
     made(change, [newer])
     site = load_site(out / "site.yaml")

@@ -3,13 +3,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.site.site_io import load_site
 from ltm_ros.site_setup.layers import Layer
 from ltm_ros.site_setup.site_writer import change_site, changed, site_text
 from ltm_ros.site_setup.vertical import NAVD88
 
-GRID = GridGeometry(0, 0, 30, 10, 12, "EPSG:32611")
 CAMERA = {
     "calibration": {"width": 640, "height": 360, "hfov_deg": 54.0},
     "pose": {"lon": -118.5, "lat": 34.1, "height_above_ground": 20.0, "azimuth_deg": 214.0, "azimuth_ref": "true"},
@@ -31,7 +29,7 @@ cameras:
 
 
 def layer(name: str, described: str = "30 m, somewhere, 2024") -> Layer:
-    return Layer(Path(name), described, GRID)
+    return Layer(Path(name), described)
 
 
 def test_a_new_site_file_is_a_site_with_its_provenance(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import rasterio
 from pyproj import CRS, Transformer
 from pyproj.datadir import get_user_data_dir
 from rasterio.transform import from_origin
+from scenes.site_services import geotiff
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.geometry.grid import GridGeometry
@@ -115,14 +116,11 @@ def test_heights_agree_with_a_pipeline_of_proj(given: str, wanted: str, grids: P
 @pytest.mark.parametrize("wanted", [NAVD88, EGM2008])
 def test_a_raster_comes_into_the_datum_of_the_site(crs: str, wanted: Datum, grids: Path, tmp_path: Path) -> None:
     unit = 1200 / 3937 if crs.endswith("6360") else 1.0
-    with rasterio.open(
-        tmp_path / "a.tif", "w", driver="GTiff", width=120, height=90, count=1, dtype="float32", crs=crs,
-        transform=from_origin(-118.07, 34.24, 1 / 3600, 1 / 3600),
-    ) as sink:  # fmt: skip
-        sink.write((np.full((90, 120), 500.0) / unit).astype(np.float32), 1)
+    heights = (np.full((90, 120), 500.0) / unit).astype(np.float32)
+    (tmp_path / "a.tif").write_bytes(geotiff(heights, crs, -118.07, 34.24, 1 / 3600))
     grid = GridGeometry(401_800.0, 3_788_000.0, 50.0, 30, 20, "EPSG:32611")
     tiles = tiles_of([tmp_path / "a.tif"])
-    made = resample(tiles, grid, wanted)
+    made, _ = resample(tiles, grid, wanted)
     rng = np.random.default_rng(7)
     row, col = rng.integers(0, 20, 200), rng.integers(0, 30, 200)
     lon, lat = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True).transform(*grid.to_map(row, col))
@@ -131,7 +129,7 @@ def test_a_raster_comes_into_the_datum_of_the_site(crs: str, wanted: Datum, grid
     there = np.full(200, 500.0)
     if given != names[wanted.code]:
         there = independent(given, names[wanted.code], grids).transform(lon, lat, there)[2]
-    np.testing.assert_allclose(made.heights[row, col], there, atol=0.05)
+    np.testing.assert_allclose(made[row, col], there, atol=0.05)
 
 
 @pytest.mark.skipif(

@@ -13,8 +13,7 @@ from scenes.site_services import SiteServices, area_around, geotiff, grid, opene
 from ltm_core.base.errors import LtmError
 from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
 from ltm_ros.site_setup.source import Source
-from ltm_ros.site_setup.sources import choose, load_sources
-from ltm_ros.site_setup.web import Web
+from ltm_ros.site_setup.sources import choose
 
 STEP = 1 / 360
 AREA = area_around(-118.0, 34.6, 8000.0)
@@ -27,12 +26,8 @@ def services() -> Iterator[SiteServices]:
         yield services
 
 
-def sources(services: SiteServices, folder: Path, **further: dict[str, object]) -> list[Source]:
-    return load_sources(services.sources(folder / "own.yaml", **further), Web(folder / "cache", 0.01, 5.0))
-
-
 def named(services: SiteServices, folder: Path, name: str, **keys: object) -> Source:
-    return next(s for s in sources(services, folder, **{name: keys}) if s.name == name)
+    return next(s for s in services.loaded(folder, **{name: keys}) if s.name == name)
 
 
 def plane(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
@@ -97,13 +92,13 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
         )
     near, wide = (area_around(-118.47, 34.09, radius) for radius in (8000.0, 40_000.0))
     quarter = {"usgs_3dep_10m": {"resolution_m": 41.2}, "copernicus_glo30": {"resolution_m": 123.6}}
-    listed = sources(services, tmp_path, **quarter)
+    listed = services.loaded(tmp_path, **quarter)
     used = expected = 0.0
-    for kind, area in ((Kind.ELEVATION, near), (Kind.COARSE_ELEVATION, wide), (Kind.FUEL, near)):
-        source = choose(kind, area, listed)
-        plan = source.plan(area)
-        expected += plan.expected_bytes
-        for path in source.fetch(plan, tmp_path / kind).files:
+    cases: list[tuple[Kind, Area]] = [("dem", near), ("coarser", wide), ("fuel", near)]
+    for kind, area in cases:
+        choice = choose(kind, area, listed)
+        expected += choice.plan.expected_bytes
+        for path in choice.fetch(tmp_path / kind).files:
             _, about = opened(path)
             west, south, east, north = about.bounds
             lon, lat = transform(about.crs, "EPSG:4326", [west, east], [south, north])
@@ -140,10 +135,9 @@ def test_a_source_that_covers_part_of_an_area_is_passed_over_with_its_share(
     services.add_product("x1y1.tif", half, "2020")
     for file, left in zip(TILES["copernicus_glo30"][0], (-119, -118), strict=True):
         add_degree_tile(services, file, left, 35, 0, -0.5)
-    source = choose(Kind.ELEVATION, AREA, sources(services, tmp_path))
-    assert source.name == "copernicus_glo30"
-    notes = source.plan(AREA).notes
-    assert [note.split()[0] for note in notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
+    choice = choose("dem", AREA, services.loaded(tmp_path))
+    assert choice.source.name == "copernicus_glo30"
+    assert [note.split()[0] for note in choice.plan.notes] == ["usgs_3dep_1m", "usgs_3dep_10m", "usgs_3dep_10m_hawaii"]
 
 
 def test_items_of_a_catalogue_of_several_pages_are_fetched(services: SiteServices, tmp_path: Path) -> None:
@@ -245,14 +239,13 @@ def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
     unknown = np.full((360, 360), -9999.0, np.float32)
     services.files["/cog/USGS_13_n35w119.tif"] = geotiff(unknown, "EPSG:4269", -119, 35.0, STEP, nodata=-9999.0)
     area = area_around(-118.5, 34.5, 8000.0)
-    listed = sources(services, tmp_path)
-    source = choose(Kind.ELEVATION, area, listed)
+    listed = services.loaded(tmp_path)
     with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
-        source.fetch(source.plan(area), tmp_path / "out")
+        choose("dem", area, listed).fetch(tmp_path / "out")
     add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
-    source = choose(Kind.ELEVATION, area, sources(services, tmp_path))
-    fetched = source.fetch(source.plan(area), tmp_path / "out")
-    assert (source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
+    choice = choose("dem", area, services.loaded(tmp_path))
+    fetched = choice.fetch(tmp_path / "out")
+    assert (choice.source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
     assert fetched.vertical_crs == "EPSG:3855"
 
 

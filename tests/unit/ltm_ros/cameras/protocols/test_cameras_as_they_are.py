@@ -11,6 +11,7 @@ from ltm_core.site.source_config import MjpegConfig, RtspConfig, SnapshotConfig,
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.http_pictures import MjpegReader, PartSplitter, SnapshotReader
 from ltm_ros.cameras.protocols.picture import CameraImage
+from ltm_ros.cameras.protocols.video import RtspReader
 from ltm_ros.cameras.ptz.head import settings_of, with_configured_host
 
 JPEG = jpeg(scene(64, 48))
@@ -266,6 +267,7 @@ def test_what_cannot_be_answered_is_named_and_sends_no_password(login: dict[str,
 
 # --- RTSP
 
+SDP = "v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=x\r\nt=0 0\r\nm=video 0 RTP/AVP 96\r\na=rtpmap:96 H264/90000\r\n"
 MD5, SHA = (f'WWW-Authenticate: Digest realm="x", nonce="abc", algorithm={name}' for name in ("MD5", "SHA-256"))
 RTSP: dict[str, tuple[dict[str, str], type[SourceError], str]] = {
     "SHA-256": ({"DESCRIBE": f"401 Unauthorized\r\n{SHA}"}, UnauthorisedError, "digest SHA-256"),
@@ -278,3 +280,20 @@ RTSP: dict[str, tuple[dict[str, str], type[SourceError], str]] = {
     "bandwidth": ({"SETUP": "453 Not Enough Bandwidth"}, SourceError, "453"),
     "transport": ({"SETUP": "461 Unsupported Transport"}, SourceError, "transport: udp"),
 }
+
+
+@pytest.mark.parametrize(("answers", "error", "named"), RTSP.values(), ids=RTSP)
+def test_what_a_stream_answers_is_named(
+    login: dict[str, Any], answers: dict[str, str], error: type[SourceError], named: str
+) -> None:
+    pytest.importorskip("av", reason="the extra rtsp is not installed")
+
+    def answer(head: str) -> bytes:
+        method, count = head.split()[0], re.findall(r"(?i)cseq: *(\d+)", head)[0]
+        body = SDP if method == "DESCRIBE" and method not in answers else ""
+        kind = f"Content-Type: application/sdp\r\nContent-Length: {len(body)}\r\n" if body else ""
+        return f"RTSP/1.0 {answers.get(method, '200 OK')}\r\nCSeq: {count}\r\n{kind}\r\n{body}".encode()
+
+    with raw_camera(answer, keep=True) as camera, pytest.raises(error, match=re.escape(named)) as caught:
+        RtspReader(RtspConfig(kind="rtsp", url=camera.url("/live", "rtsp"), timeout=5.0, **login))
+    assert (type(caught.value), "secret" in str(caught.value)) == (error, False)

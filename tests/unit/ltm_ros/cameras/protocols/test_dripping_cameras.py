@@ -1,10 +1,10 @@
-import socket
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from functools import partial
 
 import pytest
+from scenes.raw_camera import RawCamera, raw_camera
 
 from ltm_core.site.source_config import MjpegConfig, SnapshotConfig
 from ltm_ros.cameras.protocols.credentials import SourceError
@@ -15,33 +15,16 @@ LETTERS = 150
 """That drip, one each tenth of a second: far longer than the limit, and not for ever where there is none."""
 
 
-@contextmanager
-def dripping(*answers: bytes) -> Iterator[str]:
-    """The address of a camera that gives each connection the next of `answers`, at once, and then drips; the last one
-    to all others."""
-    listener = socket.create_server(("127.0.0.1", 0))
-    left = list(answers)
+def _drip(answer: bytes, head: str) -> Iterator[bytes]:
+    yield answer
+    for _ in range(LETTERS):
+        yield b"a"
+        time.sleep(0.1)
 
-    def serve(connection: socket.socket, answer: bytes) -> None:
-        with suppress(OSError), connection:
-            connection.recv(4096)
-            connection.sendall(answer)
-            for _ in range(LETTERS):
-                connection.sendall(b"a")
-                time.sleep(0.1)
 
-    def listen() -> None:
-        with suppress(OSError):
-            while True:
-                connection, _ = listener.accept()
-                answer = left.pop(0) if len(left) > 1 else left[0]
-                threading.Thread(target=serve, args=(connection, answer), daemon=True).start()
-
-    threading.Thread(target=listen, daemon=True).start()
-    try:
-        yield f"http://127.0.0.1:{listener.getsockname()[1]}/picture"
-    finally:
-        listener.close()
+def dripping(*answers: bytes) -> AbstractContextManager[RawCamera]:
+    """A camera that sends the next of `answers` at once, and then drips; the last one to all further requests."""
+    return raw_camera(*(partial(_drip, answer) for answer in answers))
 
 
 def snapshot(url: str) -> CameraReader:
@@ -54,10 +37,9 @@ def stream(url: str) -> CameraReader:
 
 @pytest.mark.parametrize("kind", [snapshot, stream])
 @pytest.mark.parametrize("begins", [b"", b"HTTP/1.1 ", b"HTTP/1.1 200 OK\r\nX: "])
-def test_a_head_without_end(kind: object, begins: bytes) -> None:
-    assert callable(kind)
-    with dripping(begins) as url, pytest.raises(SourceError, match=r"took more than 0\.9 s"):
-        kind(url).read()
+def test_a_head_without_end(kind: Callable[[str], CameraReader], begins: bytes) -> None:
+    with dripping(begins) as camera, pytest.raises(SourceError, match=r"took more than 0\.9 s"):
+        kind(camera.url()).read()
 
 
 def test_a_piece_of_a_stream_without_end() -> None:
@@ -65,8 +47,8 @@ def test_a_piece_of_a_stream_without_end() -> None:
     head = (
         b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=b\r\nTransfer-Encoding: chunked\r\n\r\n"
     )
-    with dripping(head + b"5;x=") as url, pytest.raises(SourceError, match=r"took more than 0\.9 s"):
-        stream(url).read()
+    with dripping(head + b"5;x=") as camera, pytest.raises(SourceError, match=r"took more than 0\.9 s"):
+        stream(camera.url()).read()
 
 
 def test_the_next_picture_is_asked_for_as_if_nothing_had_been() -> None:
@@ -74,8 +56,8 @@ def test_the_next_picture_is_asked_for_as_if_nothing_had_been() -> None:
     whole = b"HTTP/1.1 200 OK\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\nConnection: close\r\n\r\n" % len(
         picture
     )
-    with dripping(b"HTTP/1.1 200 OK\r\nX: ", whole + picture) as url:
-        reader = snapshot(url)
+    with dripping(b"HTTP/1.1 200 OK\r\nX: ", whole + picture) as camera:
+        reader = snapshot(camera.url())
         with pytest.raises(SourceError, match="took more than"):
             reader.read()
         for _ in range(2):

@@ -75,11 +75,13 @@ class Bench:
     server: contextlib.ExitStack
     undo: list[Callable[[], None]] = field(default_factory=list)
 
+    def change(self, target: object, **changes: Any) -> None:
+        former = {name: getattr(target, name) for name in changes}
+        vars(target).update(changes)
+        self.undo.append(lambda: vars(target).update(former))
+
     def behave(self, **changes: Any) -> None:
-        former = {name: getattr(self.camera.behaviour, name) for name in changes}
-        for name, value in changes.items():
-            setattr(self.camera.behaviour, name, value)
-        self.undo.append(lambda: [setattr(self.camera.behaviour, n, v) for n, v in former.items()])  # type: ignore[func-returns-value]
+        self.change(self.camera.behaviour, **changes)
 
     def render(self, picture: Callable[[float], bytes]) -> None:
         self.behave(render=picture)
@@ -180,20 +182,10 @@ def unset_password(bench: Bench) -> None:
     bench.mend()
 
 
-def set_head(**changes: Any) -> Callable[[Bench], None]:
-    def happen(bench: Bench) -> None:
-        former = {name: getattr(bench.head, name) for name in changes}
-        for name, value in changes.items():
-            setattr(bench.head, name, value)
-        bench.undo.append(lambda: [setattr(bench.head, n, v) for n, v in former.items()])  # type: ignore[func-returns-value]
-
-    return happen
-
-
 def turning_frozen(bench: Bench) -> None:
     """The PTZ head turns from picture to picture; what it shows does not, but for its noise."""
     bench.render(lambda _: jpeg(scene()))
-    set_head(turn=30.0)(bench)
+    bench.change(bench.head, turn=30.0)
 
 
 def turning_seen(bench: Bench) -> None:
@@ -218,8 +210,8 @@ FAULTS = (
     Fault("dark", lambda b: b.render(painted(lambda i: i // 16)), "night", 50, "dark"),
     Fault("other size", lambda b: b.render(lambda t: jpeg(scene(640, 360))), "stalled", 50, "640 x 360 pixels"),
     Fault("too large", lambda b: b.render(lambda t: b"\xff\xd8\xff" * 2_000_000), "stalled", 50, "image_bytes"),
-    Fault("PTZ head slews", set_head(speed=1.0), "moved", 50, "moving"),
-    Fault("PTZ head silent", set_head(error=SourceError("no answer")), "stalled", 50, "no answer"),
+    Fault("PTZ head slews", lambda b: b.change(b.head, speed=1.0), "moved", 50, "moving"),
+    Fault("PTZ head silent", lambda b: b.change(b.head, error=SourceError("no answer")), "stalled", 50, "no answer"),
     Fault("PTZ head turns, picture stays", turning_frozen, "stuck", 60, "the same", frames=2, mend=turning_seen),
     Fault("camera's clock set by an hour", lambda b: b.behave(clock_ahead=3600.0), "alive", 15, "", frames=1000),
 )

@@ -9,9 +9,8 @@ from scenes.ptz_camera import FakeHead, ptz_camera
 from ltm_core.site.source_config import PtzConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.picture import PtzHead
-from ltm_ros.cameras.ptz.head import client_of, parsed_xml
-from ltm_ros.cameras.ptz.makers import open_ptz
-from ltm_ros.cameras.ptz.onvif import OnvifPtzHead
+from ltm_ros.cameras.ptz.head import parsed_xml
+from ltm_ros.cameras.ptz.makers import OnvifPtzHead, open_ptz
 
 KINDS: dict[str, dict[str, Any]] = {
     "vapix": {"kind": "vapix"},
@@ -74,8 +73,8 @@ def test_onvif_s_move_status_is_believed_only_where_it_says_moving(
 def test_a_camera_whose_clock_is_wrong_is_signed_to_by_its_own_time(turning: Turning, ahead: float) -> None:
     fake, camera = turning
     fake.clock_ahead, fake.user, fake.password = ahead, "viewer", PASSWORD
-    asked = config(kind="onvif", url=camera.url(""), **_login())
-    head = OnvifPtzHead(asked, client_of(asked, None))
+    head = opened(camera, "onvif", **_login())
+    assert isinstance(head, OnvifPtzHead)
     assert head.read().pan_deg == pytest.approx(123.4, abs=0.01)
     assert head.soap.clock_ahead() == pytest.approx(ahead, abs=1.0)
 
