@@ -182,7 +182,7 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
             "votes at the very end",
         )
     assert all(pid != before[label] for label, pid in replayed.pids.items())
-    assert runner.given_up == []
+    assert runner.failing == []
     finish_files(runner)
 
     # What was written before a kill is there, ended by the next recorder, and after it a new bag goes on.
