@@ -1,7 +1,6 @@
 """Describe the node graph of a site as plain data, which `ltm run` and `ros2 launch` both use. Imports no ROS."""
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -44,10 +43,6 @@ BUSY_NODES = ("depth", "segmentation", "topodepth")
 OWN_PARAMETERS = ("site", "camera", "use_sim_time", "surfaces")
 """Parameters that the graph sets; a site file cannot set them."""
 
-# Valid ROS names and namespaces.
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-
 
 @dataclass(frozen=True)
 class NodeSpec:
@@ -65,12 +60,6 @@ class NodeSpec:
     """Whether it computes on several threads."""
     process: str = ""
     """Label of the process that it shares with other nodes; empty: a process of its own."""
-
-    def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
-            raise ConfigError(f"node name {self.name!r}: use letters, digits and _, starting with a letter")
-        if not _NAMESPACE.fullmatch(self.namespace):
-            raise ConfigError(f"namespace {self.namespace!r} of node {self.name}: expected the form /site/camera")
 
     @property
     def executable(self) -> str:
@@ -113,17 +102,11 @@ class ProcessSpec:
 
 @dataclass(frozen=True)
 class Graph:
-    """All nodes of a site. Labels are unique."""
+    """All nodes of a site. Labels are unique, because no camera has the name of a node (`site.SITE_NAMES`)."""
 
     site: str
     nodes: tuple[NodeSpec, ...]
     watchdog: WatchdogConfig = field(default_factory=WatchdogConfig)
-
-    def __post_init__(self) -> None:
-        labels = [node.label for node in self.nodes]
-        twice = sorted({label for label in labels if labels.count(label) > 1})
-        if twice:
-            raise ConfigError(f"graph of {self.site}: duplicate nodes {', '.join(twice)}")
 
     @property
     def processes(self) -> tuple[ProcessSpec, ...]:
@@ -177,7 +160,9 @@ def describe(
         surfaces = _surfaces_folder(place, given.get("terrain", {}))
         for kind in SURFACE_NODES:
             given[kind] = given.get(kind, {}) | {"surfaces": surfaces}
-    together = site.processes == "site"
+    shared: dict[str, str] = {}
+    if site.processes == "site":
+        shared = dict.fromkeys((*CAMERA_NODES, *FUSION_NODES, "pose"), CAMERAS_PROCESS) | {"source": SOURCES_PROCESS}
     common: dict[str, ParameterValue] = {"site": str(place), "use_sim_time": sim_time}
 
     def spec(kind: str, namespace: str, own: Mapping[str, ParameterValue]) -> NodeSpec:
@@ -188,15 +173,8 @@ def describe(
             parameters=common | dict(own) | given.get(kind, {}),
             required=kind not in OPTIONAL_NODES,
             busy=kind in BUSY_NODES,
-            process=process_of(kind),
+            process=shared.get(kind, ""),
         )
-
-    def process_of(kind: str) -> str:
-        if not together:
-            return ""
-        if kind == "source":
-            return SOURCES_PROCESS
-        return CAMERAS_PROCESS if kind in (*CAMERA_NODES, *FUSION_NODES, "pose") else ""
 
     chosen = list(cameras) or list(site.cameras)
     for camera in chosen:

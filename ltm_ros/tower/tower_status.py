@@ -209,6 +209,8 @@ class TowerWatch:
             limit_s = max(limit_s, node.number("stalled_after_s") or 0.0)
             if state.failing or state in (CameraState.CONNECTING, CameraState.NIGHT):
                 return state, why or "no image yet" * (state is CameraState.CONNECTING)
+        if age_s is None and (capture := self._node(f"/{self._site}/{name}/capture", now_s)).state == "warning":
+            return CameraState.CONNECTING, f"capture: {capture.said}"
         if age_s is None:
             why = "no frame since the start; check that the camera is on and publishes to its topics"
             return CameraState.CONNECTING, why
