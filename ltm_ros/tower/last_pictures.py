@@ -213,8 +213,8 @@ class LastPictures:
         small = picture.resized(width)
         return [small.jpeg(kind, self._labels, SMALL_QUALITY) for kind in KINDS]
 
-    def map_image(self, places: Sequence[tuple[int, float, float]] = ()) -> RgbImage | None:
-        """Return the map (H, W, 3) with places (number, longitude, latitude); None if no map has come. Raises
+    def map_png(self, places: Sequence[tuple[int, float, float]] = ()) -> bytes | None:
+        """Return the map as PNG with places (number, longitude, latitude); None if no map has come. Raises
         MessageError."""
         with self._lock:
             message, cameras = self._map, [picture.on_map for picture in self._kept.values()]
@@ -227,12 +227,7 @@ class LastPictures:
             marks.append(MapCamera(f"place {number}", None, (float(x), float(y))))
         stamp = stamp_of(message)
         dated = f"as of {moment_of_stamp(stamp):%Y-%m-%d %H:%M} UTC" if stamp else "prior map, nothing seen"
-        return map_image(classes, geometry, self._map_palette, cameras, marks, f"{self._site.crs}, {dated}")
-
-    def map_png(self, places: Sequence[tuple[int, float, float]] = ()) -> bytes | None:
-        """Return a PNG of `map_image`. Raises MessageError."""
-        image = self.map_image(places)
-        return None if image is None else to_png(image)
+        return to_png(map_image(classes, geometry, self._map_palette, cameras, marks, f"{self._site.crs}, {dated}"))
 
     def _keep(self, picture: CameraPicture) -> None:
         with self._lock:

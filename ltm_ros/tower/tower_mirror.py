@@ -12,20 +12,18 @@ import zlib
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from importlib.resources import files
+from itertools import accumulate
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
-import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.strict_model import problem_text
-from ltm_core.base.types import RgbImage
-from ltm_core.pictures.legend import to_png
 from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 from ltm_ros.tower.health_client import TowerPort
-from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, TILE
+from ltm_ros.tower.live_stream import FIRST_LINE, KINDS
 from ltm_ros.viewer.server import listens
 
 LONGEST_LINE: Final = 1024
@@ -44,15 +42,11 @@ class StreamError(LtmError):
 
 
 class _Record(BaseModel):
-    kind: Literal["page", "frame", "tile"]
+    kind: Literal["page", "frame", "map"]
     bytes: int = Field(ge=0, le=MOST_BYTES)
     camera: str = Field("", pattern="^[a-z][a-z0-9_]{0,63}$|^$")
     stamp_s: float = Field(0.0, allow_inf_nan=False)
     sizes: list[int] = Field(default_factory=list, max_length=len(KINDS))
-    x: int = Field(0, ge=0, le=4096, multiple_of=TILE)
-    y: int = Field(0, ge=0, le=4096, multiple_of=TILE)
-    width: int = Field(0, ge=0, le=4096)
-    height: int = Field(0, ge=0, le=4096)
 
 
 class TowerMirror:
@@ -67,7 +61,7 @@ class TowerMirror:
         self._page: dict[str, Any] | None = None
         self._trouble = "connecting"
         self._images: dict[str, tuple[float, list[bytes]]] = {}
-        self._map: RgbImage | None = None
+        self._map = b""
         self._closing = threading.Event()
         page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
         self._routes: dict[str, Route] = {
@@ -114,10 +108,10 @@ class TowerMirror:
             page = _json(content)
             with self._lock:
                 self._page = page
-        elif record.kind == "tile":
-            self._paint(record, content)
+        elif record.kind == "map":
+            self._map = content
         else:
-            ends = np.cumsum(record.sizes)
+            ends = list(accumulate(record.sizes))
             if len(ends) != len(KINDS) or ends[-1] != len(content) or min(record.sizes) < 0 or not record.camera:
                 raise StreamError(f"a frame has images of {record.sizes} bytes, and {len(content)} in all")
             images = [content[end - size : end] for size, end in zip(record.sizes, ends, strict=True)]
@@ -127,17 +121,6 @@ class TowerMirror:
                 self._images[record.camera] = record.stamp_s, images
             for kind, number in {**{kind: number for number, kind in enumerate(KINDS)}, "full": 0}.items():
                 self._routes[f"GET /picture/{record.camera}/{kind}.jpg"] = self._picture(record.camera, number)
-
-    def _paint(self, record: _Record, content: bytes) -> None:
-        with self._lock:
-            size = (record.height, record.width, 3)
-            if self._map is None or self._map.shape != size:
-                self._map = np.full(size, 205, np.uint8)
-            tile = self._map[record.y : record.y + TILE, record.x : record.x + TILE]
-            pixels = _inflated(content, tile.size)
-            if len(pixels) != tile.size:
-                raise StreamError(f"a tile has {len(pixels)} bytes; expected {tile.size}")
-            tile[:] = np.frombuffer(pixels, np.uint8).reshape(tile.shape)
 
     def _picture(self, camera: str, number: int) -> Route:
         return lambda _: WebResponse(self._images[camera][1][number], "image/jpeg")
@@ -150,10 +133,9 @@ class TowerMirror:
             return WebResponse.json(self._page | {"pictures": stamps, "every_ms": EVERY_MS})
 
     def _map_png(self) -> WebResponse:
-        with self._lock:
-            if self._map is None:
-                return WebResponse.error(HTTPStatus.NOT_FOUND, "not available yet")
-            return WebResponse(to_png(self._map), "image/png")
+        if not self._map:
+            return WebResponse.error(HTTPStatus.NOT_FOUND, "not available yet")
+        return WebResponse(self._map, "image/png")
 
     def _mark(self, body: bytes) -> WebResponse:
         try:
@@ -178,17 +160,10 @@ def _records(stream: IO[bytes] | http.client.HTTPResponse) -> Iterator[tuple[_Re
         yield record, content
 
 
-def _inflated(content: bytes, most: int) -> bytes:
-    try:
-        return zlib.decompressobj().decompress(content, most + 1)[: most + 1]
-    except zlib.error as error:
-        raise StreamError(f"the stream has an invalid record ({error})") from error
-
-
 def _json(content: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(_inflated(content, MOST_BYTES), parse_constant=_no_number)
-    except (ValueError, RecursionError) as error:
+        found = json.loads(zlib.decompressobj().decompress(content, MOST_BYTES), parse_constant=_no_number)
+    except (zlib.error, ValueError, RecursionError) as error:
         raise StreamError("the stream has a page that is not JSON") from error
     if not isinstance(found, dict):
         raise StreamError("the stream has a page that is not a JSON mapping")
