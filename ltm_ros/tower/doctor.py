@@ -10,7 +10,8 @@ import subprocess  # nosec B404 # argument lists, no shell
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -20,7 +21,6 @@ from ltm_core.base.errors import LtmError
 from ltm_core.base.numba_cache import use_own_cache
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
-from ltm_ros.tower.health_client import DoctorFinding, DoctorState
 
 MESSAGE_PACKAGES = (
     "builtin_interfaces",
@@ -39,6 +39,33 @@ INSTALL = "pip install"
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 
+class DoctorState(StrEnum):
+    OK = "ok"
+    OPTIONAL = "optional"
+    """Missing, and needed only by some commands."""
+    WARNING = "warning"
+    """Works with limitations."""
+    MISSING = "missing"
+    """Missing, and the system does not work without it."""
+
+
+@dataclass(frozen=True)
+class DoctorFinding:
+    area: str
+    name: str
+    state: DoctorState
+    detail: str
+    remedy: str = ""
+    """Command that fixes it."""
+
+    @classmethod
+    def judged(
+        cls, area: str, name: str, fine: object, detail: str, remedy: str, bad: DoctorState = DoctorState.WARNING
+    ) -> "DoctorFinding":
+        """Return a finding that is ok, or has the state `bad` and the remedy."""
+        return cls(area, name, DoctorState.OK if fine else bad, detail, "" if fine else remedy)
+
+
 def examine(site: Path | None = None) -> list[DoctorFinding]:
     """Run all checks, in the order in which a user would fix them. `site`: the tower's file. Default: the installed
     one, if any."""
@@ -54,12 +81,9 @@ def examine(site: Path | None = None) -> list[DoctorFinding]:
 
 
 def as_json(findings: list[DoctorFinding]) -> str:
-    return json.dumps({"ok": healthy(findings), "findings": [asdict(finding) for finding in findings]}, indent=2)
-
-
-def healthy(findings: list[DoctorFinding]) -> bool:
-    """Return whether nothing required is missing."""
-    return not any(finding.state is DoctorState.MISSING for finding in findings)
+    """Return the findings, and as `ok` whether nothing required is missing."""
+    fine = all(finding.state is not DoctorState.MISSING for finding in findings)
+    return json.dumps({"ok": fine, "findings": [asdict(finding) for finding in findings]}, indent=2)
 
 
 def summed_up(findings: list[DoctorFinding]) -> list[DoctorFinding]:
@@ -201,7 +225,10 @@ def check_models() -> Iterator[DoctorFinding]:
 
 
 def check_machine() -> Iterator[DoctorFinding]:
-    area, cores, memory, folder = "machine", available_cores(), _memory_gb(), numba_cache()
+    area, cores, folder = "machine", available_cores(), numba_cache()
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    with contextlib.suppress(OSError, ValueError):
+        memory = min(memory, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e9)  # of the container
     remedy = "assign two cores: nodes wait for each other on one"
     yield DoctorFinding.judged(area, "cores", cores >= 2, f"{cores} for this process", remedy)
     remedy = f"assign {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only"
@@ -210,20 +237,38 @@ def check_machine() -> Iterator[DoctorFinding]:
     yield DoctorFinding.judged(area, "numba cache", folder, said, "export NUMBA_CACHE_DIR=/a/writable/folder")
 
 
-def check_tower(site: Path | None) -> Iterator[DoctorFinding]:
-    """Check the tower of the site file, or the installed one if any."""
-    if site is not None or INSTALLED_SITE.exists():
-        from ltm_ros.tower.health_client import check_health_port  # reads site files: packages may be missing
+def check_tower(path: Path | None) -> Iterator[DoctorFinding]:
+    """Check the site file, or the installed one if any, and that its tower can answer monitoring systems; it runs
+    without that."""
+    if path is None and not INSTALLED_SITE.exists():
+        return
+    # Packages that these need may be missing.
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.runtime.web_server import bind_error, refusal
+    from ltm_ros.tower.health_client import ask
 
-        yield from check_health_port(site or INSTALLED_SITE)
-
-
-def _memory_gb() -> float:
-    """Return the memory that this process may use in GB: the machine's, or the container's if that is less."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    with contextlib.suppress(OSError, ValueError):
-        total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return total / 1e9
+    area, path = "machine", path or INSTALLED_SITE
+    try:
+        site = load_site(path)
+    except LtmError as error:
+        yield DoctorFinding(area, "site file", DoctorState.MISSING, str(error), f"ltm check {path}")
+        return
+    health = site.health
+    if health is None or health.port == 0:
+        return
+    name, place = "health port", f"{health.address}:{health.port}"
+    if (taken := bind_error(health.address, health.port)) is None:
+        yield DoctorFinding(area, name, DoctorState.OK, f"{place} is free: no tower is running")
+        return
+    try:
+        found = ask(health, "/status.json")["site"]
+        other = "" if found == site.name else f"used by the tower of {found}"
+    except LtmError as why:
+        other = str(why)
+    except (TypeError, KeyError):
+        other = "another program answers on this port"
+    remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without it, and retries"
+    yield DoctorFinding.judged(area, name, not other, other or f"{site.name} answers on {place}", remedy)
 
 
 def numba_cache() -> Path | None:
