@@ -18,10 +18,9 @@ from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking
-from ltm_ros.archive.files import write_result
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader
 from ltm_ros.archive.plan import code_digest, seen_by_content
-from ltm_ros.archive.scan import digest
+from ltm_ros.archive.scan import digest, write_result
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
 _ASKED = 4
