@@ -157,7 +157,12 @@ def describe(
     if sim_time:
         given["capture"] = {"shed": False} | given.get("capture", {})
     if site.terrain is not None and site.terrain.trace_confirmed:
-        surfaces = _surfaces_folder(place, given.get("terrain", {}))
+        if not (folder := str(given.get("terrain", {}).get("folder", ""))):
+            raise ConfigError(
+                f"{place}: terrain.trace_confirmed needs a folder for the confirmed surfaces: set one for the terrain "
+                f"(`nodes: {{terrain: {{folder: kept}}}}`), or pass --state"
+            )
+        surfaces = str(place.parent / Path(folder).expanduser() / FOLDER)  # beside the terrain's store
         for kind in SURFACE_NODES:
             given[kind] = given.get(kind, {}) | {"surfaces": surfaces}
     shared: dict[str, str] = {}
@@ -196,17 +201,6 @@ def describe(
     return Graph(site.name, tuple(nodes), site.watchdog)
 
 
-def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
-    """Return the folder of the confirmed surfaces, beside the terrain's store. Raises ConfigError if there is none."""
-    folder = str(terrain.get("folder", ""))
-    if not folder:
-        raise ConfigError(
-            f"{site}: terrain.trace_confirmed needs a folder for the confirmed surfaces: set one for the terrain "
-            f"(`nodes: {{terrain: {{folder: kept}}}}`), or pass --state"
-        )
-    return str(site.parent / Path(folder).expanduser() / FOLDER)
-
-
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
     """Return a ROS parameters file for a node of any name. Values are JSON, which quotes strings: bare `y` and `on`
     would become booleans."""
@@ -234,7 +228,13 @@ def _overrides(
             for name, value in _flat(values).items():
                 if name in OWN_PARAMETERS:
                     raise ConfigError(f"{where}.{kind}.{name}: the graph sets this parameter itself; remove it")
-                merged.setdefault(kind, {})[name] = _ros_value(value, f"{where}.{kind}.{name}")
+                try:
+                    merged.setdefault(kind, {})[name] = _PARAMETER.validate_python(value, strict=True)
+                except ValidationError:
+                    raise ConfigError(
+                        f"{where}.{kind}.{name} = {value!r}: a parameter is a boolean, integer, float, string or "
+                        "non-empty list of one of these"
+                    ) from None
     return merged
 
 
@@ -247,13 +247,3 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{name}"] = value
     return flat
-
-
-def _ros_value(value: object, place: str) -> ParameterValue:
-    """Return a ROS parameter: boolean, integer, float, string or non-empty list of one type. Raises ConfigError."""
-    try:
-        return _PARAMETER.validate_python(value, strict=True)
-    except ValidationError:
-        raise ConfigError(
-            f"{place} = {value!r}: a parameter is a boolean, integer, float, string or non-empty list of one of these"
-        ) from None

@@ -123,7 +123,15 @@ class Runner:
             shared_memory.remove_stale()
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
             for spec in self.graph.processes:
-                self.processes[spec.label] = self._process(spec)
+                self.processes[spec.label] = NodeProcess(
+                    label=spec.label,
+                    command=process_command(spec, self._folder),
+                    environment=ros_environment(self._base, domain_id=self._domain_id, busy=spec.busy),
+                    console=self._say,
+                    policy=self._policy,
+                    watchdog=self.graph.watchdog,
+                    on_end=shared_memory.remove_stale,
+                )
             for process in self.processes.values():
                 process.start()
 
@@ -141,10 +149,6 @@ class Runner:
         there = [spec for spec in self.graph.processes if spec.label not in self.failing]
         ready = {name for spec in there for name in self.processes[spec.label].ready}
         return [node.label for spec in there for node in spec.nodes if node.full_name not in ready]
-
-    def kill(self, label: str, number: int = signal.SIGKILL) -> bool:
-        """Send a signal to one process, for tests. Returns False if it is not running."""
-        return self.processes[label].signal(number)
 
     def stop(self) -> None:
         """End every process (SIGTERM, SIGKILL after `stop_s`) and clean up. Idempotent. SIGINT is not used, because
@@ -187,7 +191,10 @@ class Runner:
                     slow_at = float("inf")
                     for line in self._obituaries(self._required_failing or self.not_ready()):
                         self._say(f"-- {line}")
-                self._report(manager, ready)
+                # If each process is supervised, another start of the runner would not help.
+                watched = all(process.watched for process in self.processes.values())
+                state = ("" if ready else "starting; ") if watched else "a supervisor does not respond; "
+                manager.report(state + in_words(self.processes.values()), ready, watched)
                 trimming.look(time.monotonic())
                 if len(self._required_failing) == sum(spec.required for spec in self.graph.processes):
                     self._say("-- all required nodes have failed")
@@ -198,25 +205,6 @@ class Runner:
             for number, handler in former.items():
                 signal.signal(number, handler)
         return 1 if self._required_failing else 0
-
-    def _report(self, manager: ServiceManager, ready: bool) -> None:
-        processes = self.processes.values()
-        # If each is supervised, another start of the runner would not help.
-        watched = all(process.watched for process in processes)
-        state = ("" if ready else "starting; ") if watched else "a supervisor does not respond; "
-        manager.report(state + in_words(processes), ready, watched)
-
-    def _process(self, spec: ProcessSpec) -> NodeProcess:
-        assert self._folder is not None  # nosec B101 # tells the type checker what holds
-        return NodeProcess(
-            label=spec.label,
-            command=process_command(spec, self._folder),
-            environment=ros_environment(self._base, domain_id=self._domain_id, busy=spec.busy),
-            console=self._say,
-            policy=self._policy,
-            watchdog=self.graph.watchdog,
-            on_end=shared_memory.remove_stale,
-        )
 
     def _obituaries(self, lost: list[str]) -> list[str]:
         """Return in words which nodes or processes are lost, and the state and last output of their processes."""

@@ -120,15 +120,7 @@ def _machine(name: str, said: str, fine: bool = True, bad: SiteVerdict = SiteVer
 def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
     """Check the parameters of each node type as the node does."""
     try:
-        graph = describe(
-            site,
-            path,
-            cameras=wanted.cameras,
-            view=wanted.view,
-            record=wanted.record,
-            health=wanted.health,
-            parameters=wanted.parameters,
-        )
+        graph = describe(site, path, **{name: value for name, value in vars(wanted).items() if name != "folders"})
     except LtmError as error:
         yield SiteFinding.of("site", "nodes", error)
         return

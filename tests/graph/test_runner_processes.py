@@ -143,7 +143,7 @@ def test_a_console_that_is_gone_ends_no_graph(start: Callable[..., Started]) -> 
 
     graph = start(spec("depth"), console=gone)
     graph.runner.wait_until_ready(30)
-    graph.runner.kill("north/depth")
+    graph.runner.processes["north/depth"].signal(signal.SIGKILL)
     depth = graph.runner.processes["north/depth"]
     graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
     graph.runner.wait_until_ready(30)
