@@ -62,14 +62,6 @@ class OutboxFrame:
         return self.camera, self.stamp_ns
 
 
-@dataclass(frozen=True)
-class Removed:
-    """Frames removed without an acknowledgement: `thinned` for space, `aged` for their age."""
-
-    thinned: int
-    aged: int
-
-
 class Outbox:
     """Outbox file, opened by one process at a time. Methods raise StoreError for temporary disk errors (the call had no
     effect and may be repeated); ConfigError if the file is damaged: the next process that opens it moves it away.
@@ -148,8 +140,9 @@ class Outbox:
         ((oldest,),) = self._rows("SELECT min(stamp_ns) FROM frames")
         return None if oldest is None else int(oldest)
 
-    def bound(self, now_ns: int | None) -> Removed:
-        """Remove what is too old at `now_ns` (None: not known, so nothing is), and thin what is too much."""
+    def bound(self, now_ns: int | None) -> tuple[int, int]:
+        """Remove what is too old at `now_ns` (None: not known, so nothing is), and thin what is too much; return the
+        number of frames that were too old, and too many."""
         aged = 0
         if now_ns is not None:
             old = self._rows("SELECT camera, stamp_ns FROM frames WHERE stamp_ns < ?", now_ns - self._max_age_ns)
@@ -163,7 +156,7 @@ class Outbox:
                 ("SELECT camera, stamp_ns FROM frames ORDER BY stamp_ns LIMIT ?", 1 + self.frames // 20),
             )
             self._remove(next(filter(None, (self._rows(query, number) for query, number in queries))))
-        return Removed(before - self.frames, aged)
+        return aged, before - self.frames
 
     def _rows(self, query: str, *values: object) -> list[Any]:
         with named_errors(str(self._path)):
