@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import decoded
@@ -55,9 +56,9 @@ class Recorder(Node):  # type: ignore[misc]
         config = read_parameters(self, RecorderConfig)
         self.health = Health()
         self.health.gauge("discovered", 0)
-        self._patterns = _patterns(config)
-        self._taken: set[str] = set()
         site = load_site(config.site)
+        self._patterns = _patterns(config, site)
+        self._taken: set[str] = set()
         poses = {} if config.topics else {camera_topic(site.name, name, POSED_POSE): name for name in site.cameras}
         self._poses, self._frames = frozenset(poses), CameraFrames(poses)
         path, tell = Path(config.bag), self.get_logger().warning
@@ -129,7 +130,7 @@ class Recorder(Node):  # type: ignore[misc]
             self.health.drop(cause_of(error), f"{topic}: {error}")
 
 
-def _patterns(config: RecorderConfig) -> list[str]:
+def _patterns(config: RecorderConfig, site: Site) -> list[str]:
     for pattern in config.topics:
         if not re.fullmatch(r"/[A-Za-z0-9_/*?\[\]-]+", pattern):
             raise ConfigError(
@@ -137,7 +138,6 @@ def _patterns(config: RecorderConfig) -> list[str]:
             )
     if config.topics:
         return list(config.topics)
-    site = load_site(config.site)
     cameras, whole_site = RECORDED
     names = [camera_topic(site.name, name, input_topic(one, t)) for name, one in site.cameras.items() for t in cameras]
     return [*names, *(site_topic(site.name, topic) for topic in whole_site), "/diagnostics"]
