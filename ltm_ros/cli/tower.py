@@ -98,7 +98,7 @@ def doctor(
     site: Annotated[Path | None, Option(help="Site file, to check its port. Default: /etc/ltm/site.yaml.")] = None,
 ) -> None:
     """Check the installation. Exit code 1 if something required is missing, or the site file is invalid."""
-    from ltm_ros.tower.doctor import DoctorState, as_json, examine, summed_up
+    from ltm_ros.tower.doctor import DoctorState, as_json, examine
 
     findings = examine(site)
     missing = [finding.name for finding in findings if finding.state is DoctorState.MISSING]
@@ -111,7 +111,7 @@ def doctor(
         DoctorState.WARNING: "yellow",
         DoctorState.MISSING: "bold red",
     }
-    rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in summed_up(findings)]
+    rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in findings]
     print_findings(rows)
     # Printed below the table without line breaks, so that they can be copied.
     for finding in findings:

@@ -8,7 +8,6 @@ import os
 import platform
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -17,8 +16,9 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 import ltm_core
-from ltm_core.base.errors import LtmError
+from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.numba_cache import use_own_cache
+from ltm_core.storage.disk_io import require_folder
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
 
@@ -86,16 +86,6 @@ def as_json(findings: list[DoctorFinding]) -> str:
     return json.dumps({"ok": fine, "findings": [asdict(finding) for finding in findings]}, indent=2)
 
 
-def summed_up(findings: list[DoctorFinding]) -> list[DoctorFinding]:
-    """Merge the working packages of one area into one line."""
-    merged: dict[str, list[str]] = {}
-    for one in findings:
-        if one.area.startswith("packages") and one.state is DoctorState.OK:
-            merged.setdefault(one.area, []).append(f"{one.name} {one.detail}")
-    lines = [DoctorFinding(area, "", DoctorState.OK, ", ".join(parts)) for area, parts in merged.items()]
-    return lines + [one for one in findings if one.area not in merged or one.state is not DoctorState.OK]
-
-
 def requirements() -> dict[str, list[Requirement]]:
     """Return the requirements of the installed package by extra; "" for the basic ones."""
     by_extra: dict[str, list[Requirement]] = {"": []}
@@ -112,16 +102,20 @@ def check_packages() -> Iterator[DoctorFinding]:
     yield DoctorFinding("python", "Python", DoctorState.OK, f"{platform.python_version()} in {sys.prefix}")
     for extra, needed in requirements().items():
         area, absent = (f"packages [{extra}]", DoctorState.OPTIONAL) if extra else ("packages", DoctorState.MISSING)
+        working = []
         for one in needed:
             version = _version(one.name)
             if (one.marker is not None and not one.marker.evaluate({"extra": extra})) or (
                 extra == "ros" and version is None  # the ROS part checks what is present, because it may come from apt
             ):
                 continue
-            fine = version is not None and one.specifier.contains(version, prereleases=True)
-            said = version if fine else f"{version}, needed {one.specifier}" if version else "not installed"
-            remedy = f"{INSTALL} '{one.name}{one.specifier}'"
-            yield DoctorFinding.judged(area, one.name, fine, str(said), remedy, absent)
+            if version is not None and one.specifier.contains(version, prereleases=True):
+                working.append(f"{one.name} {version}")
+                continue
+            said = f"{version}, needed {one.specifier}" if version else "not installed"
+            yield DoctorFinding(area, one.name, absent, said, f"{INSTALL} '{one.name}{one.specifier}'")
+        if working:
+            yield DoctorFinding(area, "", DoctorState.OK, ", ".join(working))
 
 
 def _version(name: str) -> str | None:
@@ -225,7 +219,7 @@ def check_models() -> Iterator[DoctorFinding]:
 
 
 def check_machine() -> Iterator[DoctorFinding]:
-    area, cores, folder = "machine", available_cores(), numba_cache()
+    area, cores = "machine", available_cores()
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     with contextlib.suppress(OSError, ValueError):
         memory = min(memory, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e9)  # of the container
@@ -233,8 +227,14 @@ def check_machine() -> Iterator[DoctorFinding]:
     yield DoctorFinding.judged(area, "cores", cores >= 2, f"{cores} for this process", remedy)
     remedy = f"assign {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only"
     yield DoctorFinding.judged(area, "memory", memory >= LEAST_MEMORY_GB, f"{memory:.1f} GB for this process", remedy)
-    said = str(folder or "no writable folder: kernels are compiled again at each start")
-    yield DoctorFinding.judged(area, "numba cache", folder, said, "export NUMBA_CACHE_DIR=/a/writable/folder")
+    own, given = use_own_cache(Path(ltm_core.__file__).parent), os.environ.get("NUMBA_CACHE_DIR")
+    folder = own or Path(given or Path.home() / ".cache/numba")
+    try:
+        require_folder(folder, "compiled kernels")
+        said, fine = str(folder), True
+    except ConfigError as error:
+        said, fine = f"{error}: kernels are compiled again at each start", False
+    yield DoctorFinding.judged(area, "numba cache", fine, said, "export NUMBA_CACHE_DIR=/a/writable/folder")
 
 
 def check_tower(path: Path | None) -> Iterator[DoctorFinding]:
@@ -269,19 +269,3 @@ def check_tower(path: Path | None) -> Iterator[DoctorFinding]:
         other = "another program answers on this port"
     remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without it, and retries"
     yield DoctorFinding.judged(area, name, not other, other or f"{site.name} answers on {place}", remedy)
-
-
-def numba_cache() -> Path | None:
-    """Return the folder of numba's compiled kernels, by its own search order; None if none is writable."""
-    use_own_cache(Path(ltm_core.__file__).parent)
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    beside = Path(ltm_core.__file__).resolve().parent / "__pycache__"
-    fallback = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
-    for folder in [Path(chosen)] if chosen else [beside, fallback]:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                return folder
-        except OSError:
-            continue
-    return None

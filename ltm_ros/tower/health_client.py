@@ -90,9 +90,8 @@ class PatientServer:
         try:
             self.server = open_health_server(self._config, self._routes)
         except (OSError, ConfigError) as error:
-            why = str(error)
-            if isinstance(error, OSError):
-                why = refusal(self._config.address, self._config.port, error)
+            place = self._config.address, self._config.port
+            why = refusal(*place, error) if isinstance(error, OSError) else str(error)
             why += f"; retrying every {self._retry_s:g} s"
             self._health.trouble("port", why)
             return why

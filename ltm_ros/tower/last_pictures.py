@@ -77,11 +77,6 @@ class CameraPicture:
         small = self.resized(WIDTH)
         return self if small is self else replace(small, full=to_jpeg(self.photo))
 
-    def without_pixels(self) -> "CameraPicture":
-        """Return the same without the memory of its images, for marks alone."""
-        nothing = np.zeros((0, 0), np.uint8)
-        return replace(self, photo=nothing[..., None], labels=nothing, depth=nothing.astype(np.float32), full=b"")
-
     def pixel(self, across: float, down: float) -> tuple[float, float]:
         """Return (u, v) in the camera's full image; `across` and `down` are shares of its width and height."""
         width, height = self.camera.width, self.camera.height
@@ -230,9 +225,11 @@ class LastPictures:
         return to_png(map_image(classes, geometry, self._map_palette, cameras, marks, f"{self._site.crs}, {dated}"))
 
     def _keep(self, picture: CameraPicture) -> None:
+        none = np.zeros((0, 0), np.uint8)  # marks need no pixels
+        small = replace(picture, photo=none[..., None], labels=none, depth=none.astype(np.float32), full=b"")
         with self._lock:
             self._kept[picture.name] = picture
-            self._recent[picture.name].append(picture.without_pixels())
+            self._recent[picture.name].append(small)
 
     def _keep_map(self, message: Any) -> None:
         with self._lock:

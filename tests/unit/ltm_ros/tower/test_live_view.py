@@ -117,7 +117,7 @@ def test_the_page_of_a_tower_is_served_here_and_follows_it(tower: tuple[Scene, W
         for kind in KINDS:
             assert get(f"/picture/north/{kind}.jpg").startswith(b"\xff\xd8")
 
-        wait_for(lambda: mirror._map, "the map")
+        wait_for(lambda: "GET /map.png" in mirror._routes, "the map")
         assert get("/map.png") == b"a map"
         scene.frames["north"] = picture("north", 7)
         wait_for(lambda: mirror.stamps_s() == {"north": 7.0}, "the next frame")
