@@ -15,10 +15,10 @@ from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import RAW_TYPE, CompressedPicture, RawPicture, picture_of
 from ltm_msgs_py.bag.reader import BagReader, by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
-from ltm_ros.archive.scan import Scan, ScannedMessage, picture_digest
+from ltm_ros.archive.scan import Scan, picture_digest
 from ltm_ros.recordings.inputs import decoded_input
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
-from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.health import Health, cause_of, too_large
 from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
@@ -137,7 +137,9 @@ def _join_camera(
                 if known[message.stamp_ns] != message.content:
                     health.drop("two_pictures", f"{file} has a different image with stamp {message.stamp_ns} ns; "
                                                 "the first is used: remove the wrong archive")  # fmt: skip
-            elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
+            elif not stamps.refuses(what, message.stamp_ns) and not too_large(
+                health, site.limits, message.type_name == RAW_TYPE, message.size_bytes, message.size
+            ):
                 known[message.stamp_ns] = message.content
                 same, last = message.content == last, message.content
                 if same:
@@ -155,17 +157,6 @@ def _join_camera(
     reasons = health.summary()
     for cause, count in health.dropped.items():
         manifest.failures.append(Failure(camera, cause, reasons.get(f"reason.{cause}", ""), count))
-
-
-def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
-    limits = site.limits
-    # As in `capture`: the largest supported raw encoding has four bytes per pixel.
-    most = 4 * limits.pixels if message.type_name == RAW_TYPE else limits.image_bytes
-    if message.size_bytes <= most and message.width * message.height <= limits.pixels:
-        return True
-    size = f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes"
-    health.drop("too_large", f"{size}; raise pixels or image_bytes under `expert.limits` in the site file")
-    return False
 
 
 _HELD = 4
