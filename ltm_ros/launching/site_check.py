@@ -154,7 +154,15 @@ def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
         if isinstance(folder, str):
             folders.setdefault(f"data of {kind}", Path(folder))
     for what, place in folders.items():
-        yield _folder(what, place)
+        try:
+            require_folder(place.expanduser(), what)
+        except LtmError as wrong:
+            yield SiteFinding.of(MACHINE, what, wrong)
+            continue
+        free = free_bytes(place.expanduser())
+        remedy = ": free some space, or give a folder on another disk" * (free < SCARCE_SPACE)
+        bad = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
+        yield _machine(what, f"{place}: {free / 1e9:.1f} GB free{remedy}", free >= SCARCE_SPACE, bad)
     if wanted.view is not None:
         given = dict(site.nodes.get("viewer", {})) | dict(wanted.view)
         for name, usual in (("web_port", 9090), ("grpc_port", 9876)):
@@ -198,16 +206,3 @@ def _alerts(site: Site) -> Iterator[SiteFinding]:
                 read_secret(given)
         except LtmError as error:
             yield _machine(f"alerts.{name}", str(error), False)
-
-
-def _folder(what: str, folder: Path) -> SiteFinding:
-    try:
-        require_folder(folder.expanduser(), what)
-    except LtmError as error:
-        return SiteFinding.of(MACHINE, what, error)
-    free = free_bytes(folder.expanduser())
-    said = f"{folder}: {free / 1e9:.1f} GB free"
-    if free >= SCARCE_SPACE:
-        return _machine(what, said)
-    bad = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
-    return _machine(what, f"{said}: free some space, or give a folder on another disk", False, bad)
