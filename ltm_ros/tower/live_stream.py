@@ -61,14 +61,11 @@ class LiveStream:
         for record in self._records():
             for start in range(0, len(record), CHUNK):
                 chunk = record[start : start + CHUNK]
-                self._wait_for(len(chunk))
+                with self._lock:
+                    due = max(time.monotonic(), self._free_at)
+                    self._free_at = due + len(chunk) / self._rate
+                time.sleep(max(0.0, due - time.monotonic()))
                 yield chunk
-
-    def _wait_for(self, size: int) -> None:
-        with self._lock:
-            due = max(time.monotonic(), self._free_at)
-            self._free_at = due + size / self._rate
-        time.sleep(max(0.0, due - time.monotonic()))
 
     def _records(self) -> Iterator[bytes]:
         yield FIRST_LINE
