@@ -26,8 +26,6 @@ FREED_SHARE: Final = 0.1
 """Share of the outbox's bytes freed at once when it is full."""
 LARGEST_FRAME: Final = 1 << 20
 """Maximum bytes of one frame; votes have at most 64 kB."""
-KEPT_DAMAGED: Final = 3
-"""Number of damaged files kept beside the outbox for inspection."""
 
 _EVERY_OTHER: Final = """
 SELECT camera, stamp_ns FROM (
@@ -181,8 +179,7 @@ class Outbox:
         try:
             return _connect(self._path)
         except ConfigError as error:
-            places = [self._path.with_name(f"{self._path.name}.damaged-{k}") for k in range(KEPT_DAMAGED)]
-            aside = next((place for place in places if not place.exists()), places[0])
+            aside = self._path.with_name(f"{self._path.name}.damaged")  # the last one, for inspection
             try:
                 for end in ("-wal", "-shm"):
                     self._path.with_name(self._path.name + end).unlink(missing_ok=True)

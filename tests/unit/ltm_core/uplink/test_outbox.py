@@ -113,10 +113,10 @@ def test_a_damaged_file_is_put_aside_and_a_new_one_begins(tmp_path: Path) -> Non
     content[4096 : len(content) // 2] = bytes(len(content) // 2 - 4096)
     path.write_bytes(content)
     with opened(tmp_path) as outbox:
-        assert "outbox.sqlite.damaged-0" in outbox.damage
+        assert "outbox.sqlite.damaged" in outbox.damage
         assert outbox.frames == 0
         assert outbox.put([frame(1)]) == 1
-    assert (tmp_path / "outbox.sqlite.damaged-0").read_bytes() == content
+    assert (tmp_path / "outbox.sqlite.damaged").read_bytes() == content
     with opened(tmp_path) as outbox:
         assert (outbox.damage, outbox.frames) == ("", 1)
 
