@@ -1,7 +1,6 @@
 """recorder: write the serialised messages of topics into MCAP bags, within limits of disk space."""
 
 import re
-from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -100,21 +99,14 @@ class Recorder(Node):  # type: ignore[misc]
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
-            taker = with_info(self._taker(topic, types[0], latched))
+            losses = None if latched else LossCounter(self, topic, self.health)
+            taker = with_info(partial(self._take, topic, types[0], losses))
             self.create_subscription(message_type, topic, taker, qos, raw=True)
         self.health.gauge("discovered", known)
 
-    def _taker(self, topic: str, type_name: str, latched: bool) -> Callable[[bytes, Any], None]:
-        losses = LossCounter(self, topic, self.health)
-
-        def take(cdr: bytes, info: Any) -> None:
-            if not latched:
-                losses.take(info)
-            self._take(topic, type_name, cdr)
-
-        return take
-
-    def _take(self, topic: str, type_name: str, cdr: bytes) -> None:
+    def _take(self, topic: str, type_name: str, losses: LossCounter | None, cdr: bytes, info: Any) -> None:
+        if losses is not None:
+            losses.take(info)
         self.health.received(topic)
         now = self.get_clock().now().nanoseconds
         self._disk.take(topic, type_name, cdr, now)
