@@ -2,6 +2,7 @@
 
 import ssl
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +17,8 @@ from ltm_core.uplink.config import BrokerConfig
 from ltm_core.uplink.envelope import Envelope, packed, unpacked
 from ltm_ros.runtime.ros_environment import secret
 
+_REMEMBERED: Final = 256
+"""Maximum number of certificates whose checked chain is cached."""
 _HASH: Final = ec.ECDSA(hashes.SHA256())
 
 
@@ -36,6 +39,7 @@ class Identity:
             raise ConfigError(
                 f"{config.certificate} belongs to {found!r}, not to {name!r}: give the certificate of {name!r}"
             )
+        self._issued = lru_cache(_REMEMBERED)(self._checked)
 
     def tls(self) -> ssl.SSLContext:
         """Return the TLS context for the broker: TLS 1.2 or newer, with certificates of both sides."""
@@ -55,7 +59,7 @@ class Identity:
     def opened(self, content: bytes, name: str) -> Envelope:
         """Return the content of an envelope signed by `name`. Raises MessageError for any other."""
         envelope = unpacked(content)
-        certificate, key = self._checked(envelope.certificate)
+        certificate, key = self._issued(envelope.certificate)
         begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
         signer = common_name(certificate)
         if not begin <= datetime.now(UTC) <= end:
