@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.storage.tile_store_file import (
@@ -55,10 +55,6 @@ class OutboxFrame:
     model: str
     message: bytes = field(repr=False)
 
-    @property
-    def key(self) -> FrameKey:
-        return self.camera, self.stamp_ns
-
 
 class Outbox:
     """Outbox file, opened by one process at a time. Methods raise StoreError for temporary disk errors (the call had no
@@ -88,12 +84,6 @@ class Outbox:
     def close(self) -> None:
         self._db.close()
         os.close(self._lock)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()
 
     def put(self, frames: Sequence[OutboxFrame]) -> int:
         """Keep frames, all of them or none; how many were not there yet. The first of a key stays."""

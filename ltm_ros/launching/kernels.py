@@ -19,8 +19,6 @@ from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.supervised import end_with_parent
 from ltm_ros.runtime.ros_environment import available_cores, ros_environment
 
-_ONE_KIND = "--kinds"
-
 
 def compile_ahead(
     graph: Graph, site_path: Path | str, console: Callable[[str], object], waiting: Callable[[], object] = bool
@@ -38,7 +36,7 @@ def compile_ahead(
     before, begun = _count(folder), time.monotonic()
     console(f"-- compiling the kernels of {', '.join(kinds)}, once for this version")
     workers = min(available_cores(), len(kinds))
-    command = [sys.executable, "-m", __name__, str(site_path), _ONE_KIND]
+    command = [sys.executable, "-m", __name__, str(site_path), "--kinds"]
     # Sessions of their own: Ctrl-C must end only the parent, which ends them.
     running = [
         subprocess.Popen(  # nosec B603 # no shell

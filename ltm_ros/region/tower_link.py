@@ -246,12 +246,18 @@ class TowerLink:
                 return
             if (frame := outbox.frame(key)) is None:
                 continue
-            about = {name: getattr(frame, name) for name in ("camera", "stamp_ns", "model")}
             try:
-                header = VotesHeader(region=self._config.name, tower=self._config.tower, grid=self._grid, **about)
+                header = VotesHeader(
+                    region=self._config.name,
+                    tower=self._config.tower,
+                    camera=frame.camera,
+                    stamp_ns=frame.stamp_ns,
+                    model=frame.model,
+                    grid=self._grid,
+                )
                 content = self._identity.sealed(header.model_dump_json().encode(), frame.message)
             except (MessageError, ValidationError) as error:
-                outbox.acknowledge([frame.key])
+                outbox.acknowledge([key])
                 self._health.drop("message", f"the frame {frame.stamp_ns} of {frame.camera} cannot be sent: {error}")
                 continue
             if not self._link.send(votes_topic(self._config.name, self._config.tower), content):

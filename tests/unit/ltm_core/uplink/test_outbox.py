@@ -18,8 +18,8 @@ def frame(number: int, camera: str = "east", view: int = 0, size: int = 100) -> 
     return OutboxFrame(camera, number * SECOND, view, "landscape_lite0", bytes([number % 251]) * size)
 
 
-def opened(folder: Path, max_bytes: int = 10_000, max_age_s: float = 1e6) -> Outbox:
-    return Outbox(folder / "outbox.sqlite", max_bytes, max_age_s)
+def opened(folder: Path, max_bytes: int = 10_000, max_age_s: float = 1e6) -> closing[Outbox]:
+    return closing(Outbox(folder / "outbox.sqlite", max_bytes, max_age_s))
 
 
 def keys_of(outbox: Outbox) -> set[tuple[str, int]]:
@@ -123,10 +123,11 @@ def test_a_damaged_file_is_put_aside_and_a_new_one_begins(tmp_path: Path) -> Non
 
 WRITER = """
 import sys
+from contextlib import closing
 from pathlib import Path
 from ltm_core.uplink.outbox_io import Outbox, OutboxFrame
 
-with Outbox(Path(sys.argv[1]), 10**9, 1e9) as outbox:
+with closing(Outbox(Path(sys.argv[1]), 10**9, 1e9)) as outbox:
     for number in range(int(sys.argv[2]), 10**6):
         outbox.put([OutboxFrame("east", 2 * number + k, 0, "", bytes([number % 251]) * 9000) for k in range(2)])
         print(number, flush=True)
@@ -151,7 +152,7 @@ def test_a_kill_at_any_moment_leaves_whole_transactions(tmp_path: Path) -> None:
         whole = [line.strip() for line in lines if line.endswith("\n")]
         told = {int(line) for line in whole if line.isdecimal()}
         gone |= {int(line.removeprefix("gone ")) for line in whole if line.startswith("gone ")}
-        with Outbox(path, 10**9, 1e9) as outbox:
+        with closing(Outbox(path, 10**9, 1e9)) as outbox:
             assert not outbox.damage
             found = {stamp for _, stamp in keys_of(outbox)}
         numbers = {stamp // 2 for stamp in found}
