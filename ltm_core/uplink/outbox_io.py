@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from ltm_core.base.errors import ConfigError, StoreError
 from ltm_core.storage.tile_store_file import (
@@ -26,8 +26,6 @@ FREED_SHARE: Final = 0.1
 """Share of the outbox's bytes freed at once when it is full."""
 LARGEST_FRAME: Final = 1 << 20
 """Maximum bytes of one frame; votes have at most 64 kB."""
-KEPT_DAMAGED: Final = 3
-"""Number of damaged files kept beside the outbox for inspection."""
 
 _EVERY_OTHER: Final = """
 SELECT camera, stamp_ns FROM (
@@ -56,18 +54,6 @@ class OutboxFrame:
     view: int
     model: str
     message: bytes = field(repr=False)
-
-    @property
-    def key(self) -> FrameKey:
-        return self.camera, self.stamp_ns
-
-
-@dataclass(frozen=True)
-class Removed:
-    """Frames removed without an acknowledgement: `thinned` for space, `aged` for their age."""
-
-    thinned: int
-    aged: int
 
 
 class Outbox:
@@ -98,12 +84,6 @@ class Outbox:
     def close(self) -> None:
         self._db.close()
         os.close(self._lock)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.close()
 
     def put(self, frames: Sequence[OutboxFrame]) -> int:
         """Keep frames, all of them or none; how many were not there yet. The first of a key stays."""
@@ -148,8 +128,9 @@ class Outbox:
         ((oldest,),) = self._rows("SELECT min(stamp_ns) FROM frames")
         return None if oldest is None else int(oldest)
 
-    def bound(self, now_ns: int | None) -> Removed:
-        """Remove what is too old at `now_ns` (None: not known, so nothing is), and thin what is too much."""
+    def bound(self, now_ns: int | None) -> tuple[int, int]:
+        """Remove what is too old at `now_ns` (None: not known, so nothing is), and thin what is too much; return the
+        number of frames that were too old, and too many."""
         aged = 0
         if now_ns is not None:
             old = self._rows("SELECT camera, stamp_ns FROM frames WHERE stamp_ns < ?", now_ns - self._max_age_ns)
@@ -163,7 +144,7 @@ class Outbox:
                 ("SELECT camera, stamp_ns FROM frames ORDER BY stamp_ns LIMIT ?", 1 + self.frames // 20),
             )
             self._remove(next(filter(None, (self._rows(query, number) for query, number in queries))))
-        return Removed(before - self.frames, aged)
+        return aged, before - self.frames
 
     def _rows(self, query: str, *values: object) -> list[Any]:
         with named_errors(str(self._path)):
@@ -188,8 +169,7 @@ class Outbox:
         try:
             return _connect(self._path)
         except ConfigError as error:
-            places = [self._path.with_name(f"{self._path.name}.damaged-{k}") for k in range(KEPT_DAMAGED)]
-            aside = next((place for place in places if not place.exists()), places[0])
+            aside = self._path.with_name(f"{self._path.name}.damaged")  # the last one, for inspection
             try:
                 for end in ("-wal", "-shm"):
                     self._path.with_name(self._path.name + end).unlink(missing_ok=True)

@@ -38,7 +38,7 @@ def usage(pid: int) -> Usage | None:
         return None  # it is ending
     private = sizes["Private_Clean"] + sizes["Private_Dirty"]
     own = sizes["Pss_Anon"] + sizes["SwapPss"] + sizes["Pss_Shmem"]
-    return Usage(sizes["Pss"], private, own, descriptors, int(threads[1]), process_use(pid).cpu_s)
+    return Usage(sizes["Pss"], private, own, descriptors, int(threads[1]), process_use(pid)[1])
 
 
 def usage_of(processes: Mapping[str, int]) -> dict[str, Usage]:

@@ -24,9 +24,9 @@ import numpy as np
 
 from ltm_core.base.errors import LtmError
 from ltm_core.base.resources import project_path
-from ltm_core.base.types import RgbImage
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
+from ltm_core.pictures.legend import to_png
 from ltm_core.site.sections import HealthConfig
 from ltm_core.vision.labels import LabelSet
 from ltm_msgs_py.bag.reader import BagReader
@@ -87,13 +87,13 @@ class _Scene:
         small = picture.resized(width)
         return [small.jpeg(kind, self._labels, SMALL_QUALITY) for kind in KINDS]
 
-    def map_image(self) -> RgbImage:
-        """Return a map of which a tile changes every five seconds."""
+    def map_png(self) -> bytes:
+        """Return a map of which a part changes every five seconds."""
         image = np.full((600, 800, 3), 190, np.uint8)
         image[::7, :, 1] = image[:, ::11, 2] = 120
         part = int(time.time() / 5) % 16
         image[part // 4 * 128 : part // 4 * 128 + 99, part % 4 * 128 : part % 4 * 128 + 99] = 60
-        return image
+        return to_png(image)
 
     def page(self) -> dict[str, Any]:
         node = {"name": "/site/camera/segmentation", "state": "ok", "said": "", "values": {"frames_in": "123456"}}
@@ -131,7 +131,7 @@ def measure_slow_link(cameras: int, seconds: float, mbit_s: float = 1.0, round_t
 
 def _tower(namespace: str, folder: Path, cameras: int, ready: Any, done: Any) -> None:
     _enter(namespace)
-    scene = _Scene(cameras)
+    scene: Any = _Scene(cameras)
     live = LiveStream(scene.page, scene, _fail)
     server: WebServer = open_health_server(
         HealthConfig(

@@ -15,10 +15,10 @@ from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import RAW_TYPE, Picture, picture_of
 from ltm_msgs_py.bag.reader import BagReader, by_log_time
 from ltm_msgs_py.pose import msg_to_covariance, msg_to_pose, pose_to_msg
-from ltm_ros.archive.scan import Scan, ScannedMessage, picture_digest
+from ltm_ros.archive.scan import Scan, picture_digest
 from ltm_ros.recordings.inputs import decoded_input
 from ltm_ros.runtime.frame_join import FrameJoin, FrameJoinConfig, JoinedFrame
-from ltm_ros.runtime.health import Health, cause_of
+from ltm_ros.runtime.health import Health, cause_of, too_large
 from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.topics import camera_topic
 
@@ -74,17 +74,11 @@ class ArchiveManifest:
     recorded: dict[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class ManifestRules:
-    """Rules of a site's nodes; `max_ahead`, `max_behind`: seconds of a stamp relative to its log time."""
-
-    join: FrameJoinConfig
-    max_ahead: float
-    max_behind: float
-
-
-def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: ManifestRules) -> ArchiveManifest:
-    """List the frames of these cameras. Raises ArchiveError for a site whose poses depend on the order of frames."""
+def make_manifest(
+    scans: Sequence[Scan], site: Site, cameras: Sequence[str], rules: FrameJoinConfig, limits: tuple[float, float]
+) -> ArchiveManifest:
+    """List the frames of these cameras. `limits`: seconds by which a stamp may be ahead of and behind its log time.
+    Raises ArchiveError for a site whose poses depend on the order of frames."""
     if site.refine_poses is not None:
         what = f"site {site.name} refines poses (refine_poses), so that they depend on earlier frames"
         raise ArchiveError(f"{what}: remove the section for the archive, and write poses into the site file")
@@ -94,25 +88,35 @@ def make_manifest(scans: Sequence[Scan], site: Site, cameras: Sequence[str], rul
         if unknown := scan.lost.get("", 0):
             manifest.failures.append(Failure(scan.name, "damage", "; ".join(scan.damage), unknown))
     for camera in cameras:
-        _join_camera(scans, site, camera, rules, manifest)
+        _join_camera(scans, site, camera, rules, limits, manifest)
     manifest.frames.sort(key=lambda frame: (frame.camera, frame.stamp_ns))
     return manifest
 
 
 def _join_camera(
-    scans: Sequence[Scan], site: Site, camera: str, rules: ManifestRules, manifest: ArchiveManifest
+    scans: Sequence[Scan],
+    site: Site,
+    camera: str,
+    rules: FrameJoinConfig,
+    limits: tuple[float, float],
+    manifest: ArchiveManifest,
 ) -> None:
     health, frames = Health(), dict[int, ArchiveFrame]()
     log_time = 0
-    stamps = StampCheck(lambda: log_time, health, rules.max_ahead, rules.max_behind)
+    stamps = StampCheck(lambda: log_time, health, *limits)
     last = ""
 
     def complete(joined: JoinedFrame) -> None:
-        image: _Picture = joined.image
+        file, image = joined.image
         join.check_size(image.size, joined.camera)
-        frames[image.message.stamp_ns] = _frame(camera, image, joined, join.assumed)
+        # As nodes receive them, through a message.
+        sent = pose_to_msg(joined.pose, image.stamp_ns, "map", joined.covariance)
+        pose, covariance = msg_to_pose(sent, "map"), msg_to_covariance(sent, join.assumed)
+        assert covariance is not None  # nosec B101 # some is assumed
+        place = camera, image.stamp_ns, file, image.topic, image.log_time_ns, image.size_bytes
+        frames[image.stamp_ns] = ArchiveFrame(*place, image.content, joined.camera, pose, covariance)
 
-    join = FrameJoin(site, camera, rules.join, complete, health, lambda image: (image.message.stamp_ns, image.size))
+    join = FrameJoin(site, camera, rules, complete, health, lambda image: (image[1].stamp_ns, image[1].size))
     images = {camera_topic(site.name, camera, topic) for topic in join.image_topics}
     topics = {camera_topic(site.name, camera, topic): topic for topic in join.others}
     others = dict(zip(topics, join.others.values(), strict=True))
@@ -133,14 +137,16 @@ def _join_camera(
                 if known[message.stamp_ns] != message.content:
                     health.drop("two_pictures", f"{file} has a different image with stamp {message.stamp_ns} ns; "
                                                 "the first is used: remove the wrong archive")  # fmt: skip
-            elif not stamps.refuses(what, message.stamp_ns) and _small_enough(message, site, health):
+            elif not stamps.refuses(what, message.stamp_ns) and not too_large(
+                health, site.limits, message.type_name == RAW_TYPE, message.size_bytes, message.size
+            ):
                 known[message.stamp_ns] = message.content
                 same, last = message.content == last, message.content
                 if same:
                     manifest.unchanged += 1
-                    if rules.join.drop_repeated:
+                    if rules.drop_repeated:
                         continue
-                join.add("image", message.stamp_ns, _Picture(file, message))
+                join.add("image", message.stamp_ns, (file, message))
         except LtmError as error:
             health.drop(cause_of(error), f"{error} ({file}, log time {message.log_time_ns} ns)")
     join.finish()
@@ -151,37 +157,6 @@ def _join_camera(
     reasons = health.summary()
     for cause, count in health.dropped.items():
         manifest.failures.append(Failure(camera, cause, reasons.get(f"reason.{cause}", ""), count))
-
-
-@dataclass(frozen=True)
-class _Picture:
-    file: str
-    message: ScannedMessage
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.message.width, self.message.height
-
-
-def _small_enough(message: ScannedMessage, site: Site, health: Health) -> bool:
-    limits = site.limits
-    # As in `capture`: the largest supported raw encoding has four bytes per pixel.
-    most = 4 * limits.pixels if message.type_name == RAW_TYPE else limits.image_bytes
-    if message.size_bytes <= most and message.width * message.height <= limits.pixels:
-        return True
-    size = f"image of {message.width} x {message.height} pixels in {message.size_bytes} bytes"
-    health.drop("too_large", f"{size}; raise pixels or image_bytes under `expert.limits` in the site file")
-    return False
-
-
-def _frame(camera: str, image: _Picture, joined: JoinedFrame, assumed: Float64Array) -> ArchiveFrame:
-    """Return a frame with pose and covariance as nodes receive them, through a message."""
-    message = image.message
-    sent = pose_to_msg(joined.pose, message.stamp_ns, "map", joined.covariance)
-    covariance = msg_to_covariance(sent, assumed)
-    assert covariance is not None  # nosec B101 # some is assumed
-    place = camera, message.stamp_ns, image.file, message.topic, message.log_time_ns, message.size_bytes
-    return ArchiveFrame(*place, message.content, joined.camera, msg_to_pose(sent, "map"), covariance)
 
 
 _HELD = 4

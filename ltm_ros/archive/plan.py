@@ -22,7 +22,7 @@ from ltm_core.pipeline.frame_steps import LabellingConfig, LabellingStep, Tracin
 from ltm_core.site.networks import camera_label_errors, site_label_errors
 from ltm_core.site.site import Site
 from ltm_core.storage.config_io import checked
-from ltm_ros.archive.manifest import ArchiveFrame, ManifestRules
+from ltm_ros.archive.manifest import ArchiveFrame
 from ltm_ros.archive.scan import digest
 from ltm_ros.launching.graph import describe
 from ltm_ros.runtime.frame_join import FrameJoinConfig
@@ -86,8 +86,11 @@ def plan(frames: Sequence[ArchiveFrame], site: Site, settings: TaskSettings, fra
     return tasks
 
 
-def node_rules(site: Site, path: Path, camera: str) -> tuple[ManifestRules, TracingConfig, LabellingConfig]:
-    """Return the parameters of a site's nodes for joining, tracing and labelling. Raises ConfigError."""
+def node_rules(
+    site: Site, path: Path, camera: str
+) -> tuple[FrameJoinConfig, tuple[float, float], TracingConfig, LabellingConfig]:
+    """Return the parameters of a site's nodes for joining, stamps (`max_ahead`, `max_behind`), tracing and labelling.
+    Raises ConfigError."""
     from ltm_ros.fuel_map.services import FuelMapConfig
 
     graph = describe(site, path)
@@ -97,8 +100,9 @@ def node_rules(site: Site, path: Path, camera: str) -> tuple[ManifestRules, Trac
         return checked(model, values, f"parameters of {label}")
 
     fuel_map = only(FuelMapConfig, "fuel_map")
-    rules = ManifestRules(only(FrameJoinConfig, f"{camera}/capture"), fuel_map.max_ahead, fuel_map.max_behind)
-    return rules, only(TracingConfig, f"{camera}/depth"), only(LabellingConfig, f"{camera}/segmentation")
+    join, tracing = only(FrameJoinConfig, f"{camera}/capture"), only(TracingConfig, f"{camera}/depth")
+    limits = fuel_map.max_ahead, fuel_map.max_behind
+    return join, limits, tracing, only(LabellingConfig, f"{camera}/segmentation")
 
 
 @cache

@@ -7,7 +7,6 @@ import json
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,10 @@ from ltm_core.site.site import Site
 from ltm_core.storage.tile_store import Key, TileStore
 from ltm_core.storage.tile_store_schema import FrameRecord
 from ltm_core.vision.labels import LabelSet
-from ltm_ros.archive.files import write_result
+from ltm_core.vision.onnx_file import file_digest
 from ltm_ros.archive.manifest import Failure
 from ltm_ros.archive.plan import Task
+from ltm_ros.archive.scan import write_result
 from ltm_ros.archive.task import read_result
 from ltm_ros.fuel_map.export import export_site
 from ltm_ros.fuel_map.layers import ShownLayers
@@ -39,24 +39,17 @@ STORES = "stores.json"
 """SHA-256 of the stores that runs have written. A node continues from a store with another one."""
 
 
-@dataclass
-class Reduction:
-    """`counted`: frames with votes for a cell, by camera; `lost`, `unused` as of the tasks."""
-
-    counted: Counter[str] = field(default_factory=Counter)
-    lost: list[Failure] = field(default_factory=list)
-    unused: Counter[str] = field(default_factory=Counter)
-
-
 def reduce_to_store(
     tasks: Sequence[Task], results: Path, site: Site, path: Path, burns: Sequence[Burn] = ()
-) -> Reduction:
-    """Write the store into `path`, which must not exist. `burns`: by time; each is applied on its day.
+) -> tuple[int, list[Failure], Counter[str]]:
+    """Write the store into `path`, which must not exist; return the number of frames with votes for a cell, the lost
+    frames, and the number of unused ones by reason. `burns`: by time; each is applied on its day.
 
     Raises LtmError for evidence that does not fit the site, StoreError if the store cannot be written."""
     geometry = site.fuel_geometry(site.open_dem())
     evidence = site_evidence_map(site, geometry, LabelSet.load(config_path(site.labels)))
-    shown, found, touched = ShownLayers(evidence), Reduction(), set[Key]()
+    shown, touched = ShownLayers(evidence), set[Key]()
+    merged, lost, unused = 0, list[Failure](), Counter[str]()
     of_days = defaultdict[int, list[Task]](list)
     for task in tasks:
         of_days[task.frames[0].day].append(task)
@@ -68,18 +61,18 @@ def reduce_to_store(
                 touched.update(zip((rows // TILE).tolist(), (cols // TILE).tolist(), strict=True))
             records = []
             for task in of_days[day]:
-                result = read_result(results / task.file, geometry)
-                found.lost += result.lost
-                found.unused.update(result.unused)
-                for votes in result.votes:
+                found, model, failed, useless = read_result(results / task.file, geometry)
+                lost += failed
+                unused.update(useless)
+                for votes in found:
                     if (window := evidence.add(votes)) is not None:
                         tiles = evidence.tiles_of(window)
                         touched.update(tiles)
-                        records.append(FrameRecord(votes.source, votes.stamp_ns, tiles, result.model))
-            found.counted.update(record.source for record in records)
+                        records.append(FrameRecord(votes.source, votes.stamp_ns, tiles, model))
+            merged += len(records)
             store.commit({}, records, shown.refresh_all())
         store.commit({key: evidence.tile_state(key) for key in sorted(touched)}, last=True)
-    return found
+    return merged, lost, unused
 
 
 def store_digest(store: TileStore) -> str:
@@ -118,7 +111,7 @@ def publish(results: Path, site: Site, store: Path) -> dict[str, Any]:
     if landscape.exists():
         write_result(results / LANDSCAPE, landscape)
     # Before the store: an interrupted run must recognise its own.
-    content = _sha256(store)
+    content = file_digest(store)
     write_result(results / STORES, json.dumps([former, content]).encode())
     write_result(results / STORE_FILE, store)
     return {"store": content, "landscape": said}
@@ -128,13 +121,8 @@ def _own_store(results: Path) -> str:
     """Return the SHA-256 of the existing store; empty: none. Raises ArchiveError if no run has written it."""
     if not (results / STORE_FILE).exists():
         return ""
-    found, known = _sha256(results / STORE_FILE), results / STORES
+    found, known = file_digest(results / STORE_FILE), results / STORES
     if not known.exists() or found not in json.loads(known.read_bytes()):
         what = f"{results / STORE_FILE} is not what the last run wrote: a node may have continued from it"
         raise ArchiveError(f"{what}; move it away or give another folder")
     return found
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

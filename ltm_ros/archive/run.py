@@ -19,12 +19,11 @@ from ltm_core.pipeline.stored_fuel import STORE_FILE, STORE_KIND
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store import TileStore
-from ltm_ros.archive.files import write_result
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveManifest, Failure, make_manifest
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, node_rules, plan
 from ltm_ros.archive.reduction import RUN, publish, reduce_to_store, store_digest
 from ltm_ros.archive.sampling import Sample, chosen
-from ltm_ros.archive.scan import Scan, first_message, recordings, scan
+from ltm_ros.archive.scan import Scan, first_message, recordings, scan, write_result
 from ltm_ros.archive.task import Engine
 from ltm_ros.recordings.inputs import beside_expected, warn_of_ignored
 
@@ -99,8 +98,8 @@ def look_through(options: ArchiveOptions, progress: Callable[[int, int], None]) 
         except (LtmError, OSError) as error:
             unread.append(Failure(str(recording), "unread", str(error)))
         progress(number, len(found))
-    rules, tracing, labelling = node_rules(site, options.site, cameras[0])
-    manifest = make_manifest(scans, site, cameras, rules)
+    rules, limits, tracing, labelling = node_rules(site, options.site, cameras[0])
+    manifest = make_manifest(scans, site, cameras, rules, limits)
     manifest.unread = unread
     warn_of_ignored(site, partial(first_message, scans))
     since, until = options.since_ns or 0, options.until_ns or 2**63 - 1
@@ -136,9 +135,9 @@ def run(planned: Plan, engine: Engine, progress: Callable[[int, int], None]) -> 
     dem = planned.site.open_dem()  # shared by all readers while it is held: each day needs an image
     with tempfile.TemporaryDirectory(prefix="ltm-archive-") as folder, nullcontext(dem):
         store = Path(folder) / STORE_FILE
-        found = reduce_to_store(whole, results, planned.site, store, planned.burns)
-        failures = (*failures, *found.lost)
-        summary = Summary(len(tasks), worked, found.counted.total(), failures, dict(found.unused))
+        merged, lost, unused = reduce_to_store(whole, results, planned.site, store, planned.burns)
+        failures = (*failures, *lost)
+        summary = Summary(len(tasks), worked, merged, failures, dict(unused))
         if refused := _too_many_failed(planned, failures) or _empty(summary):
             _write_record(planned, summary)
             raise ArchiveError(refused)

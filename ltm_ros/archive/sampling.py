@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ltm_core.base.errors import ArchiveError, LtmError
@@ -18,10 +19,10 @@ from ltm_core.geometry.geodesy import sun_elevation
 from ltm_core.site.networks import site_scene_filter
 from ltm_core.site.site import Site
 from ltm_core.vision.masks import Looking
-from ltm_ros.archive.files import write_result
+from ltm_core.vision.scene_view import SceneFilter
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader
 from ltm_ros.archive.plan import code_digest, seen_by_content
-from ltm_ros.archive.scan import digest
+from ltm_ros.archive.scan import digest, write_result
 
 _SPANS = {"hour": DAY_NS // 24, "day": DAY_NS}
 _ASKED = 4
@@ -106,7 +107,8 @@ def chosen(
         of = [code_digest(), seen_by_content(site, camera), sample.described, [frame.identity() for frame in new]]
         kept = results / LOOKS / f"{digest(number, *of)}.json"
         if not kept.exists():
-            found, reasons = sampled(new, sample.count, _look(site, camera, reader), number)
+            scene = site_scene_filter(site, camera)
+            found, reasons = sampled(new, sample.count, partial(_look, scene, reader), number)
             about = {"stamps": [frame.stamp_ns for frame in found], "passed_over": reasons}
             write_result(kept, json.dumps(about).encode())
         known = json.loads(kept.read_bytes())
@@ -115,15 +117,10 @@ def chosen(
     return taken, +passed
 
 
-def _look(site: Site, camera: str, reader: ArchiveImageReader) -> Look:
-    scene = site_scene_filter(site, camera)
-
-    def look(frame: ArchiveFrame) -> str:
-        picture = reader.read(frame)
-        try:
-            rgb = picture.rgb()
-        except LtmError as error:
-            return f"damaged: {error}"
-        return scene.look(rgb, Looking.of(frame.calibration, frame.pose), frame.stamp_ns).unusable
-
-    return look
+def _look(scene: SceneFilter, reader: ArchiveImageReader, frame: ArchiveFrame) -> str:
+    picture = reader.read(frame)
+    try:
+        rgb = picture.rgb()
+    except LtmError as error:
+        return f"damaged: {error}"
+    return scene.look(rgb, Looking.of(frame.calibration, frame.pose), frame.stamp_ns).unusable

@@ -1,9 +1,12 @@
-"""Scan a recording once: locations and digests of its images, and all messages joined to them.
+"""Find the recordings of an archive, and scan each once: locations and digests of its images, and all messages joined
+to them.
 
 A scan depends only on the file and the topic names, so it is stored and used again while the file is unchanged."""
 
 import hashlib
 import json
+import os
+import shutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from operator import itemgetter
@@ -15,15 +18,53 @@ import pyarrow.parquet as pq
 
 from ltm_core.base.errors import ArchiveError, LtmError
 from ltm_core.site.site import Site
+from ltm_core.storage.disk_io import sync
 from ltm_msgs_py.bag.cdr import Picture, picture_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader, is_bag_file
-from ltm_ros.archive.files import files_below, write_result
 from ltm_ros.recordings.inputs import InputReader, accepted_types, decoded_input, is_image
 from ltm_ros.runtime.handler import Topic
 
 SCANS = "scans"
 _VERSION = 6
 _ABOUT = b"ltm"
+
+
+def files_below(archive: Path) -> list[Path]:
+    """Return a file, or the files in a folder at any depth, by name, also behind links, each folder once; none if
+    nothing exists. A broken link, as to an unmounted share, counts as an unreadable file and is not skipped. Raises
+    OSError also for an unreadable folder, unlike `Path.rglob`."""
+    top = archive.expanduser().resolve()
+
+    def failed(error: OSError) -> None:
+        if not (isinstance(error, FileNotFoundError) and error.filename == str(top)):
+            raise error
+
+    found, known = [top] if top.is_file() else [], set[str]()
+    for place, below, names in os.walk(top, onerror=failed, followlinks=True) if not found else ():
+        real = os.path.realpath(place)
+        if real in known:  # a link to a parent folder, or to one that is in the archive itself
+            below.clear()
+            continue
+        known.add(real)
+        below.sort()
+        found += [Path(place) / name for name in names]
+    return sorted(path for path in found if path.is_file() or path.is_symlink())
+
+
+def write_result(path: Path, content: bytes | Path) -> None:
+    """Write bytes, or a copy of a file, completely or not at all, also in a power cut. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        if isinstance(content, Path):
+            shutil.copyfile(content, partial)
+        else:
+            partial.write_bytes(content)
+        sync(partial)
+        partial.replace(path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def digest(*parts: object) -> str:
@@ -55,6 +96,10 @@ class ScannedMessage:
     content: str = ""
     trouble: str = ""
     raw: bytes = b""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.width, self.height
 
 
 _KINDS = {str: pa.string(), int: pa.int64(), bytes: pa.binary()}

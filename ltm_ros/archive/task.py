@@ -17,6 +17,7 @@ import pyarrow as pa
 import zstandard
 
 from ltm_core.base.errors import ArchiveError, LtmError
+from ltm_core.base.kernels import limit_kernel_threads
 from ltm_core.base.types import UInt8Array
 from ltm_core.fuel.vote_columns import columns_to_votes, votes_to_columns
 from ltm_core.fuel.votes import CellVotes
@@ -27,25 +28,13 @@ from ltm_core.pipeline.stored_fuel import votes_of, votes_to_bytes
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.storage.tile_store_schema import FrameRecord
-from ltm_ros.archive.files import write_result
 from ltm_ros.archive.manifest import ArchiveFrame, ArchiveImageReader, Failure
 from ltm_ros.archive.plan import Task, TaskSettings, code_digest, site_digest
-from ltm_ros.archive.scan import packed, unpacked
+from ltm_ros.archive.scan import packed, unpacked, write_result
 from ltm_ros.runtime.health import cause_of
 from ltm_ros.runtime.ros_environment import available_cores
 
 _FRAMES = pa.schema([("stamp", pa.int64()), ("votes", pa.binary())])
-
-
-@dataclass(frozen=True, eq=False)
-class TaskResult:
-    """`votes`: of each frame that shows something, unpacked one by one. `lost`: frames that failed; `unused`: reason ->
-    number of frames with unusable images."""
-
-    votes: Iterator[CellVotes]
-    model: str
-    lost: tuple[Failure, ...]
-    unused: Mapping[str, int]
 
 
 def work(task: Task, settings: TaskSettings) -> int:
@@ -71,11 +60,8 @@ class FrameSteps:
         self._tracing = TracingStep(site, camera, tracing)
         self._labelling = LabellingStep(site, camera, labelling)
         self._voting = VotingStep(site, camera)
-
-    @property
-    def described(self) -> str:
-        """Return the name and checksum of the label network."""
-        return self._labelling.segmenter.described
+        self.described = self._labelling.segmenter.described
+        """Name and checksum of the label network."""
 
     def votes(self, frame: ArchiveFrame, photo: UInt8Array) -> tuple[CellVotes | None, str]:
         """Return the votes of a frame, None without any, and why it is not fully used. Raises LtmError."""
@@ -120,16 +106,19 @@ def _votes_file(task: Task, steps: FrameSteps) -> bytes:
     return packed(pa.Table.from_pylist(rows, _FRAMES), about | {"lost": [asdict(one) for one in lost]})
 
 
-def read_result(file: Path, geometry: GridGeometry) -> TaskResult:
-    """Read the result of a task; `geometry`: the fuel grid in the map frame. Raises ConfigError if it is corrupt."""
+def read_result(
+    file: Path, geometry: GridGeometry
+) -> tuple[Iterator[CellVotes], str, list[Failure], Mapping[str, int]]:
+    """Return the result of a task: votes of each frame that shows something, unpacked one by one, name of the network,
+    frames that failed, and number of frames with unusable images by reason. `geometry`: the fuel grid in the map frame.
+    Raises ConfigError if it is corrupt."""
     table, about = unpacked(file)
     camera, model, rows = about["camera"], about["model"], table.to_pylist()
-    lost = tuple(Failure(**one) for one in about["lost"])
 
     def votes(row: Mapping[str, Any]) -> CellVotes:
         return votes_of(FrameRecord(camera, row["stamp"], (), model, zstandard.decompress(row["votes"])), geometry)
 
-    return TaskResult(map(votes, rows), model, lost, about["unused"])
+    return map(votes, rows), model, [Failure(**one) for one in about["lost"]], about["unused"]
 
 
 _ATTEMPTS = 4
@@ -163,12 +152,13 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
 
     def run(tasks: Sequence[Task], settings: TaskSettings) -> Iterator[Done]:
         own, workers = threading.local(), list[ProcessPoolExecutor]()  # each thread waits for a process of its own
+        cores = available_cores()  # for all workers together, so that kernels do not wait for another worker's
 
         def ended(task: Task) -> Done:
             for _ in range(_ATTEMPTS):
                 if not hasattr(own, "worker"):
                     context = multiprocessing.get_context("spawn")
-                    own.worker = ProcessPoolExecutor(1, context, initializer=keep_to_cores, initargs=(count,))
+                    own.worker = ProcessPoolExecutor(1, context, limit_kernel_threads, (max(1, cores // count),))
                     workers.append(own.worker)
                 try:
                     return Done(task, own.worker.submit(job or work, task, settings).result())
@@ -192,10 +182,3 @@ def on_workers(count: int, job: Job | None = None) -> Engine:
                 worker.shutdown()
 
     return run
-
-
-def keep_to_cores(workers: int) -> None:
-    """Limit a worker of this machine to its own cores, so that kernels do not wait for another worker's."""
-    from ltm_core.base.kernels import limit_kernel_threads
-
-    limit_kernel_threads(max(1, available_cores() // workers))

@@ -21,7 +21,7 @@ from ltm_core.visibility.footprint import arrival_directions, ground_normals
 from ltm_core.visibility.point_visibility import PointVisibility, in_image, project
 from ltm_core.vision.usable import judge
 from ltm_msgs_py.bag.reader import is_bag_file
-from ltm_ros.archive.files import files_below
+from ltm_ros.archive.scan import files_below
 from ltm_ros.assessment.answers_io import SampledCell
 from ltm_ros.recordings.frame_stream import PARTS, FrameStream, StreamedFrame
 

@@ -87,27 +87,26 @@ def doctor(
     json: Annotated[bool, Option("--json", help="Print the findings as JSON.")] = False,
     site: Annotated[Path | None, Option(help="Site file, to check its port. Default: /etc/ltm/site.yaml.")] = None,
 ) -> None:
-    """Check the installation. Exit code 1 if something required is missing."""
-    from ltm_ros.tower.doctor import as_json, examine, healthy, summed_up
-    from ltm_ros.tower.health_client import DoctorState
+    """Check the installation. Exit code 1 if something required is missing, or the site file is invalid."""
+    from ltm_ros.tower.doctor import DoctorState, as_json, examine
 
     findings = examine(site)
+    missing = [finding.name for finding in findings if finding.state is DoctorState.MISSING]
     if json:
         typer.echo(as_json(findings))
-        raise typer.Exit(0 if healthy(findings) else 1)
+        raise typer.Exit(1 if missing else 0)
     styles = {
         DoctorState.OK: "green",
         DoctorState.OPTIONAL: "dim",
         DoctorState.WARNING: "yellow",
         DoctorState.MISSING: "bold red",
     }
-    rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in summed_up(findings)]
+    rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in findings]
     print_findings(rows)
     # Printed below the table without line breaks, so that they can be copied.
     for finding in findings:
         if finding.remedy:
             typer.echo(f"{finding.state} {finding.name}: {finding.remedy}")
-    missing = [finding.name for finding in findings if finding.state is DoctorState.MISSING]
     typer.echo(f"missing: {', '.join(missing)}" if missing else "nothing required is missing")
     raise typer.Exit(1 if missing else 0)
 

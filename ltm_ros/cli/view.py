@@ -81,10 +81,10 @@ def _show_graph(path: Path, save: Path | None, open_browser: bool, web_port: int
     with Runner(Graph(site.name, (node,))) as runner:
         deadline = time.monotonic() + _START_S
         while not listens(web_port):
-            if runner.given_up or time.monotonic() > deadline:
+            if runner.failing or time.monotonic() > deadline:
                 raise ConfigError("the viewer node could not start; its messages are above")
             time.sleep(0.1)
-        _watch(web_url(web_port, grpc_port), open_browser, lambda: not runner.given_up)
+        _watch(web_url(web_port, grpc_port), open_browser, lambda: not runner.failing)
 
 
 def _watch(url: str, open_browser: bool, running: Callable[[], bool]) -> None:

@@ -1,7 +1,6 @@
 """Describe the node graph of a site as plain data, which `ltm run` and `ros2 launch` both use. Imports no ROS."""
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -44,10 +43,6 @@ BUSY_NODES = ("depth", "segmentation", "topodepth")
 OWN_PARAMETERS = ("site", "camera", "use_sim_time", "surfaces")
 """Parameters that the graph sets; a site file cannot set them."""
 
-# Valid ROS names and namespaces.
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-
 
 @dataclass(frozen=True)
 class NodeSpec:
@@ -65,12 +60,6 @@ class NodeSpec:
     """Whether it computes on several threads."""
     process: str = ""
     """Label of the process that it shares with other nodes; empty: a process of its own."""
-
-    def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
-            raise ConfigError(f"node name {self.name!r}: use letters, digits and _, starting with a letter")
-        if not _NAMESPACE.fullmatch(self.namespace):
-            raise ConfigError(f"namespace {self.namespace!r} of node {self.name}: expected the form /site/camera")
 
     @property
     def executable(self) -> str:
@@ -113,17 +102,11 @@ class ProcessSpec:
 
 @dataclass(frozen=True)
 class Graph:
-    """All nodes of a site. Labels are unique."""
+    """All nodes of a site. Labels are unique, because no camera has the name of a node (`site.SITE_NAMES`)."""
 
     site: str
     nodes: tuple[NodeSpec, ...]
     watchdog: WatchdogConfig = field(default_factory=WatchdogConfig)
-
-    def __post_init__(self) -> None:
-        labels = [node.label for node in self.nodes]
-        twice = sorted({label for label in labels if labels.count(label) > 1})
-        if twice:
-            raise ConfigError(f"graph of {self.site}: duplicate nodes {', '.join(twice)}")
 
     @property
     def processes(self) -> tuple[ProcessSpec, ...]:
@@ -174,10 +157,17 @@ def describe(
     if sim_time:
         given["capture"] = {"shed": False} | given.get("capture", {})
     if site.terrain is not None and site.terrain.trace_confirmed:
-        surfaces = _surfaces_folder(place, given.get("terrain", {}))
+        if not (folder := str(given.get("terrain", {}).get("folder", ""))):
+            raise ConfigError(
+                f"{place}: terrain.trace_confirmed needs a folder for the confirmed surfaces: set one for the terrain "
+                f"(`nodes: {{terrain: {{folder: kept}}}}`), or pass --state"
+            )
+        surfaces = str(place.parent / Path(folder).expanduser() / FOLDER)  # beside the terrain's store
         for kind in SURFACE_NODES:
             given[kind] = given.get(kind, {}) | {"surfaces": surfaces}
-    together = site.processes == "site"
+    shared: dict[str, str] = {}
+    if site.processes == "site":
+        shared = dict.fromkeys((*CAMERA_NODES, *FUSION_NODES, "pose"), CAMERAS_PROCESS) | {"source": SOURCES_PROCESS}
     common: dict[str, ParameterValue] = {"site": str(place), "use_sim_time": sim_time}
 
     def spec(kind: str, namespace: str, own: Mapping[str, ParameterValue]) -> NodeSpec:
@@ -188,15 +178,8 @@ def describe(
             parameters=common | dict(own) | given.get(kind, {}),
             required=kind not in OPTIONAL_NODES,
             busy=kind in BUSY_NODES,
-            process=process_of(kind),
+            process=shared.get(kind, ""),
         )
-
-    def process_of(kind: str) -> str:
-        if not together:
-            return ""
-        if kind == "source":
-            return SOURCES_PROCESS
-        return CAMERAS_PROCESS if kind in (*CAMERA_NODES, *FUSION_NODES, "pose") else ""
 
     chosen = list(cameras) or list(site.cameras)
     for camera in chosen:
@@ -216,17 +199,6 @@ def describe(
         expected = [node.full_name for node in nodes]
         nodes.append(spec("health", f"/{site.name}", {"expected": expected}))
     return Graph(site.name, tuple(nodes), site.watchdog)
-
-
-def _surfaces_folder(site: Path, terrain: Mapping[str, ParameterValue]) -> str:
-    """Return the folder of the confirmed surfaces, beside the terrain's store. Raises ConfigError if there is none."""
-    folder = str(terrain.get("folder", ""))
-    if not folder:
-        raise ConfigError(
-            f"{site}: terrain.trace_confirmed needs a folder for the confirmed surfaces: set one for the terrain "
-            f"(`nodes: {{terrain: {{folder: kept}}}}`), or pass --state"
-        )
-    return str(site.parent / Path(folder).expanduser() / FOLDER)
 
 
 def parameters_yaml(parameters: Mapping[str, ParameterValue]) -> str:
@@ -256,7 +228,13 @@ def _overrides(
             for name, value in _flat(values).items():
                 if name in OWN_PARAMETERS:
                     raise ConfigError(f"{where}.{kind}.{name}: the graph sets this parameter itself; remove it")
-                merged.setdefault(kind, {})[name] = _ros_value(value, f"{where}.{kind}.{name}")
+                try:
+                    merged.setdefault(kind, {})[name] = _PARAMETER.validate_python(value, strict=True)
+                except ValidationError:
+                    raise ConfigError(
+                        f"{where}.{kind}.{name} = {value!r}: a parameter is a boolean, integer, float, string or "
+                        "non-empty list of one of these"
+                    ) from None
     return merged
 
 
@@ -269,13 +247,3 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{name}"] = value
     return flat
-
-
-def _ros_value(value: object, place: str) -> ParameterValue:
-    """Return a ROS parameter: boolean, integer, float, string or non-empty list of one type. Raises ConfigError."""
-    try:
-        return _PARAMETER.validate_python(value, strict=True)
-    except ValidationError:
-        raise ConfigError(
-            f"{place} = {value!r}: a parameter is a boolean, integer, float, string or non-empty list of one of these"
-        ) from None

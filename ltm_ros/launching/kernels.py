@@ -19,24 +19,24 @@ from ltm_ros.launching.graph import Graph, describe
 from ltm_ros.launching.supervised import end_with_parent
 from ltm_ros.runtime.ros_environment import available_cores, ros_environment
 
-_ONE_KIND = "--kinds"
-
 
 def compile_ahead(
     graph: Graph, site_path: Path | str, console: Callable[[str], object], waiting: Callable[[], object] = bool
 ) -> None:
     """Compile the kernels of a graph's nodes, unless that was done; print when it begins and how long it took. Nodes
-    compile what is still missing when they start. `waiting` is called five times a second."""
+    compile what is still missing when they start; with a user's NUMBA_CACHE_DIR, everything. `waiting` is called five
+    times a second."""
     folder = use_own_cache(Path(ltm_core.__file__).parent)
-    kinds = [kind for kind in KERNELS if any(node.module.rpartition(".")[2] == kind for node in graph)]
-    if folder is not None:
-        kinds = [kind for kind in kinds if not compiled_mark(folder, kind).exists()]
-    if not kinds or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+    if folder is None or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        return
+    used = {node.executable for node in graph}
+    kinds = [kind for kind in KERNELS if kind in used and not compiled_mark(folder, kind).exists()]
+    if not kinds:
         return
     before, begun = _count(folder), time.monotonic()
     console(f"-- compiling the kernels of {', '.join(kinds)}, once for this version")
     workers = min(available_cores(), len(kinds))
-    command = [sys.executable, "-m", __name__, str(site_path), _ONE_KIND]
+    command = [sys.executable, "-m", __name__, str(site_path), "--kinds"]
     # Sessions of their own: Ctrl-C must end only the parent, which ends them.
     running = [
         subprocess.Popen(  # nosec B603 # no shell
@@ -59,12 +59,10 @@ def compile_ahead(
     if any(process.returncode for process in running):
         console("-- not all kernels could be compiled; the nodes will do it")
         return
-    count = f"{_count(folder) - before} kernels" if folder is not None else "the kernels"
-    console(f"-- compiled {count} in {time.monotonic() - begun:.0f} s")
-    if folder is not None:
-        with contextlib.suppress(OSError):
-            for kind in kinds:
-                compiled_mark(folder, kind).touch()
+    console(f"-- compiled {_count(folder) - before} kernels in {time.monotonic() - begun:.0f} s")
+    with contextlib.suppress(OSError):
+        for kind in kinds:
+            compiled_mark(folder, kind).touch()
 
 
 def compiled_mark(folder: Path, kind: str) -> Path:
@@ -73,8 +71,8 @@ def compiled_mark(folder: Path, kind: str) -> Path:
     return folder / f"{kind}-{kernel_level(folder) or platform.node()}.compiled"
 
 
-def _count(folder: Path | None) -> int:
-    return 0 if folder is None else sum(1 for _ in folder.rglob("*.nbi"))
+def _count(folder: Path) -> int:
+    return sum(1 for _ in folder.rglob("*.nbi"))
 
 
 def main() -> None:

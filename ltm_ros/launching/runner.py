@@ -10,14 +10,13 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import CAMERAS_MODULE, Graph, ProcessSpec, nodes_json, parameters_yaml
 from ltm_ros.launching.service_manager import ServiceManager, in_words
 from ltm_ros.launching.supervised import supervised_command
-from ltm_ros.launching.supervisor import Console, NodeProcess, ProcessState, RestartPolicy
+from ltm_ros.launching.supervisor import Console, NodeProcess, RestartPolicy
 from ltm_ros.runtime.process_memory import Trimming
 from ltm_ros.runtime.ros_environment import ros_environment
 
@@ -92,7 +91,7 @@ class Runner:
         self._console = console
         self._policy = policy or RestartPolicy()
         self._stop_s = stop_s
-        self._extra_environment = dict(environment or {})
+        self._base = os.environ | dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
         self._stopping = threading.Event()
@@ -101,24 +100,17 @@ class Runner:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     @property
-    def given_up(self) -> list[str]:
-        """Return the labels of the processes that are no longer started because their configuration is invalid."""
-        return [label for label, process in self.processes.items() if process.state is ProcessState.GIVEN_UP]
+    def failing(self) -> list[str]:
+        """Return the labels of the processes whose configuration was invalid at several starts in a row."""
+        return [label for label, process in self.processes.items() if process.failing]
 
     @property
-    def _required(self) -> list[str]:
-        """Return the labels of the processes without which the graph is useless."""
-        return [spec.label for spec in self.graph.processes if spec.required]
-
-    @property
-    def _lost_for_good(self) -> list[str]:
-        return [label for label in self._required if label in self.given_up]
+    def _required_failing(self) -> list[str]:
+        return [spec.label for spec in self.graph.processes if spec.required and spec.label in self.failing]
 
     def start(self) -> None:
         """Start every process and return at once. Raises GraphError if the runner was started before."""
@@ -128,28 +120,32 @@ class Runner:
             shared_memory.remove_stale()
             self._folder = Path(tempfile.mkdtemp(prefix="ltm-run-"))
             for spec in self.graph.processes:
-                self.processes[spec.label] = self._process(spec)
+                self.processes[spec.label] = NodeProcess(
+                    label=spec.label,
+                    command=process_command(spec, self._folder),
+                    environment=ros_environment(self._base, domain_id=self._domain_id, busy=spec.busy),
+                    console=self._say,
+                    policy=self._policy,
+                    watchdog=self.graph.watchdog,
+                    on_end=shared_memory.remove_stale,
+                )
             for process in self.processes.values():
                 process.start()
 
     def wait_until_ready(self, timeout_s: float = 60.0) -> None:
         """Wait until every node is ready (`not_ready`). Raises GraphError with the missing nodes and their last output,
-        at once if a required one was given up."""
+        at once if a required one is failing."""
         deadline = time.monotonic() + timeout_s
-        while missing := self._lost_for_good or self.not_ready():
-            if self._lost_for_good or self._stopping.wait(0.05) or time.monotonic() > deadline:
+        while missing := self._required_failing or self.not_ready():
+            if self._required_failing or self._stopping.wait(0.05) or time.monotonic() > deadline:
                 raise GraphError("\n".join(self._obituaries(missing)))
 
     def not_ready(self) -> list[str]:
         """Return the labels of the nodes that have not sent a diagnostic, which they do after loading; except those of
-        processes that were given up."""
-        there = [spec for spec in self.graph.processes if spec.label not in self.given_up]
+        failing processes."""
+        there = [spec for spec in self.graph.processes if spec.label not in self.failing]
         ready = {name for spec in there for name in self.processes[spec.label].ready}
         return [node.label for spec in there for node in spec.nodes if node.full_name not in ready]
-
-    def kill(self, label: str, number: int = signal.SIGKILL) -> bool:
-        """Send a signal to one process, for tests. Returns False if it is not running."""
-        return self.processes[label].signal(number)
 
     def stop(self) -> None:
         """End every process (SIGTERM, SIGKILL after `stop_s`) and clean up. Idempotent. SIGINT is not used, because
@@ -164,13 +160,16 @@ class Runner:
                     self._say(f"-- SIGKILL to {', '.join(process.label for process in alive)}, still running")
                 alive = _signalled_until_stopped(alive, number, patience_s)
             if self._folder is not None:
-                self._remove_shared_memory()
+                # That of killed nodes goes once no young object can be theirs.
+                if shared_memory.remove_stale():
+                    time.sleep(shared_memory.MIN_AGE_S)
+                    shared_memory.remove_stale()
                 shutil.rmtree(self._folder, ignore_errors=True)
                 self._folder = None
 
     def run(self, manager: ServiceManager | None = None) -> int:
-        """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`), from the main thread; also end if no required node
-        is left. `manager` is notified. Returns 0, or 1 if a required node was given up."""
+        """Run the graph until SIGINT, SIGTERM or SIGHUP (`ltm run`), from the main thread; also end if all required
+        processes are failing. `manager` is notified. Returns 0, or 1 if a required process is failing."""
         manager = manager or ServiceManager()
         stopping = threading.Event()
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -182,16 +181,19 @@ class Runner:
             trimming = Trimming(time.monotonic())
             ready = False
             while not stopping.wait(0.2):
-                if not ready and (ready := not self.not_ready() and not self._lost_for_good):
-                    without = f" but {', '.join(self.given_up)}, given up" if self.given_up else ""
+                if not ready and (ready := not self.not_ready() and not self._required_failing):
+                    without = f" but {', '.join(self.failing)}, tried again" if self.failing else ""
                     self._say(f"-- all {len(self.graph)} nodes are ready{without}")
                 elif not ready and time.monotonic() > slow_at:
                     slow_at = float("inf")
-                    for line in self._obituaries(self._lost_for_good or self.not_ready()):
+                    for line in self._obituaries(self._required_failing or self.not_ready()):
                         self._say(f"-- {line}")
-                self._report(manager, ready)
+                # If each process is supervised, another start of the runner would not help.
+                watched = all(process.watched for process in self.processes.values())
+                state = ("" if ready else "starting; ") if watched else "a supervisor does not respond; "
+                manager.report(state + in_words(self.processes.values()), ready, watched)
                 trimming.look(time.monotonic())
-                if self._lost_for_good == self._required:
+                if len(self._required_failing) == sum(spec.required for spec in self.graph.processes):
                     self._say("-- all required nodes have failed")
                     break
         finally:
@@ -199,30 +201,7 @@ class Runner:
             self.stop()
             for number, handler in former.items():
                 signal.signal(number, handler)
-        return 1 if self._lost_for_good else 0
-
-    def _report(self, manager: ServiceManager, ready: bool) -> None:
-        processes = self.processes.values()
-        # Where each is supervised, restarting or given up, another start of the runner would not help.
-        watched = all(process.watched for process in processes)
-        state = ("" if ready else "starting; ") if watched else "a supervisor does not respond; "
-        manager.report(state + in_words(processes), ready, watched)
-
-    def _process(self, spec: ProcessSpec) -> NodeProcess:
-        assert self._folder is not None  # nosec B101 # tells the type checker what holds
-        return NodeProcess(
-            label=spec.label,
-            command=process_command(spec, self._folder),
-            environment=self._environment(spec.busy),
-            console=self._say,
-            policy=self._policy,
-            watchdog=self.graph.watchdog,
-            on_end=shared_memory.remove_stale,
-        )
-
-    def _environment(self, busy: bool) -> dict[str, str]:
-        base = os.environ | self._extra_environment
-        return ros_environment(base, domain_id=self._domain_id, busy=busy)
+        return 1 if self._required_failing else 0
 
     def _obituaries(self, lost: list[str]) -> list[str]:
         """Return in words which nodes or processes are lost, and the state and last output of their processes."""
@@ -230,16 +209,11 @@ class Runner:
         for spec in self.graph.processes:
             if spec.label in lost or any(node.label in lost for node in spec.nodes):
                 process = self.processes[spec.label]
+                state = "running" if process.running else "not running"
                 how = f", last {process.last_exit}" if process.last_exit else ""
-                lines.append(f"{spec.label}: {process.state.value}, {process.starts} starts{how}")
-                lines += [f"  | {line}" for line in process.last_words()]
+                lines.append(f"{spec.label}: {state}, {process.starts} starts{how}")
+                lines += [f"  | {line}" for line in list(process.last_words)]
         return lines
-
-    def _remove_shared_memory(self) -> None:
-        """Remove the shared memory of killed nodes, after waiting until young objects cannot be theirs."""
-        if shared_memory.remove_stale():
-            time.sleep(shared_memory.MIN_AGE_S)
-            shared_memory.remove_stale()
 
     def _say(self, line: str) -> None:
         # A closed console (`ltm run | head`) does not end the graph.

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, MutableMapping
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.launching.supervisor import NodeProcess, ProcessState
+from ltm_ros.launching.supervisor import NodeProcess
 
 LONGEST = 200
 """Characters of a line: service managers show it in one."""
@@ -25,11 +25,7 @@ SIGNS_A_LIMIT = 3
 def in_words(processes: Iterable[NodeProcess]) -> str:
     """Return which processes do not run, and why; else how many run."""
     seen = list(processes)
-    down = [
-        f"{one.label} ({'given up, ' * (one.state is ProcessState.GIVEN_UP)}{one.last_exit or 'starts'})"
-        for one in seen
-        if not one.running
-    ]
+    down = [f"{one.label} ({one.last_exit or 'starts'})" for one in seen if not one.running]
     if not down:
         return f"all {len(seen)} processes run"
     line = f"{len(seen) - len(down)} of {len(seen)} processes run; down: {', '.join(down)}"

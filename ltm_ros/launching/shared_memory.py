@@ -46,7 +46,11 @@ def remove_stale(folder: Path = SHM_FOLDER, min_age_s: float = MIN_AGE_S) -> boo
         # senders map without a lock; an object without a lock file can only be judged by its mappings.
         if base in mapped and ("port" in base or not any(map(_is_lock, paths))):
             continue
-        if _age_s(paths) < min_age_s:
+        changed = [0.0]
+        for path in paths:
+            with contextlib.suppress(OSError):
+                changed.append(path.stat().st_ctime)
+        if abs(time.time() - max(changed)) < min_age_s:  # a future time means that the clock was set back
             young = True
             continue
         with contextlib.ExitStack() as held:
@@ -87,12 +91,3 @@ def _mapped_names(folder: Path) -> set[str]:
                 if found and not name.endswith("(deleted)") and (match := _OBJECT.match(name)):
                     names.add(match["base"])
     return names
-
-
-def _age_s(paths: list[Path]) -> float:
-    newest = 0.0
-    for path in paths:
-        with contextlib.suppress(OSError):
-            newest = max(newest, path.stat().st_ctime)
-    # A future time means that the clock was set back, so the file is not new.
-    return abs(time.time() - newest)

@@ -120,15 +120,7 @@ def _machine(name: str, said: str, fine: bool = True, bad: SiteVerdict = SiteVer
 def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
     """Check the parameters of each node type as the node does."""
     try:
-        graph = describe(
-            site,
-            path,
-            cameras=wanted.cameras,
-            view=wanted.view,
-            record=wanted.record,
-            health=wanted.health,
-            parameters=wanted.parameters,
-        )
+        graph = describe(site, path, **{name: value for name, value in vars(wanted).items() if name != "folders"})
     except LtmError as error:
         yield SiteFinding.of("site", "nodes", error)
         return
@@ -162,7 +154,15 @@ def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
         if isinstance(folder, str):
             folders.setdefault(f"data of {kind}", Path(folder))
     for what, place in folders.items():
-        yield _folder(what, place)
+        try:
+            require_folder(place.expanduser(), what)
+        except LtmError as wrong:
+            yield SiteFinding.of(MACHINE, what, wrong)
+            continue
+        free = free_bytes(place.expanduser())
+        remedy = ": free some space, or give a folder on another disk" * (free < SCARCE_SPACE)
+        bad = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
+        yield _machine(what, f"{place}: {free / 1e9:.1f} GB free{remedy}", free >= SCARCE_SPACE, bad)
     if wanted.view is not None:
         given = dict(site.nodes.get("viewer", {})) | dict(wanted.view)
         for name, usual in (("web_port", 9090), ("grpc_port", 9876)):
@@ -206,16 +206,3 @@ def _alerts(site: Site) -> Iterator[SiteFinding]:
                 read_secret(given)
         except LtmError as error:
             yield _machine(f"alerts.{name}", str(error), False)
-
-
-def _folder(what: str, folder: Path) -> SiteFinding:
-    try:
-        require_folder(folder.expanduser(), what)
-    except LtmError as error:
-        return SiteFinding.of(MACHINE, what, error)
-    free = free_bytes(folder.expanduser())
-    said = f"{folder}: {free / 1e9:.1f} GB free"
-    if free >= SCARCE_SPACE:
-        return _machine(what, said)
-    bad = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
-    return _machine(what, f"{said}: free some space, or give a folder on another disk", False, bad)

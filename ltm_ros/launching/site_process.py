@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import rclpy.node
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.site.site_io import load_site
+from ltm_msgs_py.status import status_message
 from ltm_ros.launching.graph import CAMERAS_PROCESS, NodeSpec, nodes_of_json
 from ltm_ros.runtime.camera_pipeline import CameraPipeline, FrameScheduler
 from ltm_ros.runtime.delivery_checks import DiagnosticsPublisher
@@ -114,7 +116,8 @@ class _MissingCamera:
 
 class SiteProcess:
     """All nodes of `specs`; the nodes of one namespace belong to one camera. A camera whose nodes cannot be created is
-    reported, and tried again later. Raises the first error if no camera works."""
+    reported, also in the name of its first node on `/diagnostics`, and tried again later. Raises the first error if no
+    camera works."""
 
     def __init__(self, specs: Sequence[NodeSpec]) -> None:
         self._members: list[JobNode] = []
@@ -157,7 +160,7 @@ class SiteProcess:
     def _try(self, namespace: str, missing: _MissingCamera) -> Exception | None:
         """Create a camera's nodes; return why it failed. A new reason is reported."""
         try:
-            self._add_camera(self._make_camera(missing.specs))
+            self._add_camera(missing.specs)
         except Exception as error:
             before, missing.why = missing.why, str(error) or repr(error)
             missing.pace.failed()
@@ -168,7 +171,7 @@ class SiteProcess:
             return error.with_traceback(None)
         return None
 
-    def _make_camera(self, specs: Sequence[NodeSpec]) -> tuple[list[JobNode], CameraPipeline]:
+    def _add_camera(self, specs: Sequence[NodeSpec]) -> None:
         nodes: list[JobNode] = []
 
         def say(name: str, text: str) -> None:
@@ -185,14 +188,16 @@ class SiteProcess:
             for node in nodes:
                 node.destroy_node()
             raise
-        return nodes, camera
-
-    def _add_camera(self, made: tuple[list[JobNode], CameraPipeline]) -> None:
-        nodes, camera = made
         healths = {node.spec.full_name: node.health for node in nodes}
-        self._diagnostics.append(DiagnosticsPublisher(nodes[0], healths, nodes[0].config.camera))
+        others = list if self._diagnostics else self._not_started
+        self._diagnostics.append(DiagnosticsPublisher(nodes[0], healths, nodes[0].config.camera, others))
         self._members += nodes
         self._cameras.append(camera)
+
+    def _not_started(self) -> list[DiagnosticStatus]:
+        """Return a status of each camera that cannot start, as its first node's."""
+        said = {one.specs[0].full_name: f"cannot start: {one.why}; retrying later" for one in self._missing.values()}
+        return [status_message(name, DiagnosticStatus.ERROR, why, {}) for name, why in said.items()]
 
     def _tick(self) -> None:
         now = time.monotonic()

@@ -9,7 +9,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import IO
 
 from ltm_core.site.sections import WatchdogConfig
@@ -36,30 +35,7 @@ class RestartPolicy:
     healthy_s: float = 20.0
     """Run time in seconds after which the back-off starts again."""
     config_tries: int = 3
-    """Number of consecutive exits with EX_CONFIG after which the node is given up."""
-
-
-class RestartDelay:
-    """State of a RestartPolicy: `after` returns the delay before the next start, or None to give up."""
-
-    def __init__(self, policy: RestartPolicy) -> None:
-        self._policy = policy
-        self._backoff = Backoff(policy.initial_s, policy.maximum_s)
-        self.config_errors = 0
-
-    def after(self, status: int, uptime_s: float) -> float | None:
-        if uptime_s >= self._policy.healthy_s:
-            self._backoff.succeeded()
-        self.config_errors = self.config_errors + 1 if status == EX_CONFIG else 0
-        return None if self.config_errors >= self._policy.config_tries else self._backoff.failed()
-
-
-class ProcessState(Enum):
-    WAITING = "waiting"
-    """Not started, or dead and waiting for its restart."""
-    RUNNING = "running"
-    STOPPED = "stopped"
-    GIVEN_UP = "given up"
+    """Number of consecutive exits with EX_CONFIG after which the node counts as failing."""
 
 
 def describe_exit(status: int) -> str:
@@ -101,7 +77,6 @@ class NodeProcess:
     on_end: Callable[[], object] = lambda: None
     """Called when the process has ended: each crash leaves 70 MB of shared memory."""
 
-    state: ProcessState = field(default=ProcessState.WAITING, init=False)
     pid: int | None = field(default=None, init=False)
     ready: frozenset[str] = field(default=frozenset(), init=False)
     """Full names of its nodes that have sent a diagnostic in this run."""
@@ -110,12 +85,14 @@ class NodeProcess:
     """Number of times it was killed because it hung."""
     last_exit: str = field(default="", init=False)
     """End of the last run, in words."""
+    config_errors: int = field(default=0, init=False)
+    """Number of consecutive exits with EX_CONFIG, none after a long run."""
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
         self._stopping = threading.Event()
-        self._tail: deque[str] = deque(maxlen=12)
-        self._restarts = RestartDelay(self.policy)
+        self.last_words = deque[str](maxlen=12)
+        """The newest lines of its output."""
         self._slow_starts = 0
         self._look_due = time.monotonic()
         self._hang = ""
@@ -124,15 +101,19 @@ class NodeProcess:
 
     @property
     def running(self) -> bool:
-        return self.state is ProcessState.RUNNING
+        return self.pid is not None
+
+    @property
+    def failing(self) -> bool:
+        """Return whether its configuration was invalid at several starts in a row. It is started again nevertheless,
+        because what it lacks may come back: a disk, or a file."""
+        return self.config_errors >= self.policy.config_tries and not self.ready
 
     @property
     def watched(self) -> bool:
-        """Return whether its supervisor works or has given the process up. False if the supervisor hangs (blocked
-        console) or has died."""
-        if self.state in (ProcessState.GIVEN_UP, ProcessState.STOPPED):
-            return True
-        return self._thread.is_alive() and time.monotonic() - self._look_due < UNWATCHED_S
+        """Return whether its supervisor works, or need not. False if it hangs (blocked console) or has died."""
+        works = self._thread.is_alive() and time.monotonic() - self._look_due < UNWATCHED_S
+        return works or self._stopping.is_set()
 
     def start(self) -> None:
         self._look_due = time.monotonic()
@@ -152,34 +133,28 @@ class NodeProcess:
         self._stopping.set()
 
     def wait_stopped(self, timeout_s: float) -> bool:
-        """Return whether it has stopped for good within `timeout_s`; call it after `request_stop`, or if it was given
-        up."""
+        """Return whether it has stopped for good within `timeout_s`; call it after `request_stop`."""
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
-    def last_words(self) -> list[str]:
-        """Return the newest lines of its output."""
-        return list(self._tail)
-
     def _supervise(self) -> None:
+        backoff = Backoff(self.policy.initial_s, self.policy.maximum_s)
         while not self._stopping.is_set():
             begun = time.monotonic()
             status = self._run_once()
             uptime_s = time.monotonic() - begun
             if self._stopping.is_set():
-                break
-            self.last_exit = f"hung ({self._hang})" if self._hang else describe_exit(status)
-            delay_s = self._restarts.after(status, uptime_s)
-            if delay_s is None:
-                self.state = ProcessState.GIVEN_UP
-                reason = next((line for line in reversed(self._tail) if line.strip()), "it printed nothing")
-                self._tell(f"given up after {self._restarts.config_errors} starts ({self.last_exit}): {reason}")
                 return
+            self.last_exit = f"hung ({self._hang})" if self._hang else describe_exit(status)
+            if uptime_s >= self.policy.healthy_s:
+                backoff.succeeded()
+                self.config_errors = 0
+            self.config_errors = self.config_errors + 1 if status == EX_CONFIG else 0
+            delay_s = backoff.failed()
             self._tell(f"{self.last_exit} after {uptime_s:.1f} s; restarting in {delay_s:.1f} s")
             self._look_due = time.monotonic() + delay_s
             self._stopping.wait(delay_s)
-        self.state = ProcessState.STOPPED
 
     def _run_once(self) -> int:
         """Start the process and wait for its end; return its exit status as subprocess does."""
@@ -192,7 +167,6 @@ class NodeProcess:
         with self._lock:
             self.pid = process.pid
             self.starts += 1
-            self.state = ProcessState.RUNNING
         self._tell(f"started as process {process.pid}")
         assert process.stdout is not None  # nosec B101 # tells the type checker what holds
         reader = threading.Thread(target=self._read, args=(process.stdout,), name=f"read {self.label}", daemon=True)
@@ -200,7 +174,6 @@ class NodeProcess:
         self._hang = self._follow(process.pid, heartbeat)
         with self._lock:
             self.pid = None
-            self.state = ProcessState.WAITING
             status = process.wait()
         _end_group(group)
         self.on_end()
@@ -251,7 +224,7 @@ class NodeProcess:
     def _read(self, output: IO[str]) -> None:
         with output:
             for line in output:
-                self._tail.append(line.rstrip("\n"))
+                self.last_words.append(line.rstrip("\n"))
                 self._emit(line.rstrip("\n"))
 
     def _tell(self, text: str) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import os
-from dataclasses import dataclass
 
 from ltm_core.site.sections import WatchdogConfig
 
@@ -16,23 +15,15 @@ PARDON_S = 5.0
 """Seconds after such a pause in which no process is judged: others may have waited for the runner."""
 
 
-@dataclass(frozen=True)
-class ProcessUse:
-    """State of a process as in `ps` (`T`: stopped), and its processor time."""
-
-    state: str
-    cpu_s: float
-
-
-def process_use(pid: int) -> ProcessUse:
-    """Read it from /proc; a dead process has used nothing. Uses bytes for names, because pathlib interns each part of a
-    path, every second for months."""
+def process_use(pid: int) -> tuple[str, float]:
+    """Return the state of a process as in `ps` (`T`: stopped), and its processor time in seconds; a dead one has used
+    nothing. Uses bytes for names, because pathlib interns each part of a path, every second for months."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:  # noqa: PTH123 # as above
             fields = file.read().rpartition(b")")[2].split()
     except OSError:
-        return ProcessUse("gone", 0.0)
-    return ProcessUse(fields[0].decode("ascii"), (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"))
+        return "gone", 0.0
+    return fields[0].decode("ascii"), (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class HangWatch:
@@ -51,26 +42,27 @@ class HangWatch:
         self._rest = b""
         self._beat: list[tuple[float, bool, str]] = []
 
-    def look(self, elapsed_s: float, heard: bytes, use: ProcessUse) -> str:
-        """Return what hangs, in words, or nothing. `heard`: heartbeats since the last call."""
+    def look(self, elapsed_s: float, heard: bytes, use: tuple[str, float]) -> str:
+        """Return what hangs, in words, or nothing. `heard`: heartbeats since the last call; `use`: of `process_use`."""
         self._take(heard)
-        cpu_s, self._cpu_s = use.cpu_s - self._cpu_s, use.cpu_s
+        state, used_s = use
+        cpu_s, self._cpu_s = used_s - self._cpu_s, used_s
         if elapsed_s > INTERRUPTED_S:
             self._silent_s = self._idle_s = 0.0
             self._pardon_s = PARDON_S
             return ""
         self._begun_s += elapsed_s
         self._silent_s = 0.0 if heard else self._silent_s + elapsed_s
-        works = cpu_s > BUSY * elapsed_s or use.state in WAITING
+        works = cpu_s > BUSY * elapsed_s or state in WAITING
         self._idle_s = 0.0 if heard or works else self._idle_s + elapsed_s
         self._pardon_s -= elapsed_s
-        return "" if self._pardon_s > 0 else self._verdict(use)
+        return "" if self._pardon_s > 0 else self._verdict(state)
 
-    def _verdict(self, use: ProcessUse) -> str:
+    def _verdict(self, state: str) -> str:
         limits = self._limits
         if not self.started and self._begun_s > self._start_s:
             return f"not started within {self._begun_s:.0f} s"
-        stopped = ", it is stopped (SIGSTOP)" if use.state == "T" else ""
+        stopped = ", it is stopped (SIGSTOP)" if state == "T" else ""
         if self._heard and self._idle_s > limits.silent:
             return f"no heartbeat for {self._idle_s:.0f} s{stopped}"
         if self._silent_s > limits.stuck:

@@ -19,7 +19,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.runtime import topics
 from ltm_ros.runtime.frame_join import CameraPoses, FrameJoin, FrameJoinConfig, JoinedFrame
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
-from ltm_ros.runtime.health import Health, too_many_pixels
+from ltm_ros.runtime.health import Health, too_large, too_many_pixels
 from ltm_ros.runtime.node import run_node
 from ltm_ros.runtime.stamp_check import StampCheck
 from ltm_ros.runtime.stamp_join import data_bytes
@@ -89,13 +89,17 @@ class CaptureHandler(Handler[CaptureConfig]):
 
     def on_image(self, message: Any) -> None:
         stamp = stamp_of(message)
-        if self._stamps.refuses(f"an image of {self.config.camera}", stamp) or self._too_large(message):
+        raw = _is_raw(message)
+        size = (int(message.width), int(message.height)) if raw else None  # of a compressed one it is read later
+        if self._stamps.refuses(f"an image of {self.config.camera}", stamp) or too_large(
+            self.health, self._limits, raw, len(message.data), size
+        ):
             return
         known = self._join.known("image", stamp)
-        if known and _is_raw(message) != self._takes_raw:
+        if known and raw != self._takes_raw:
             self.health.note("other_image_topic")  # a driver that publishes both kinds
             return
-        self._takes_raw = _is_raw(message)
+        self._takes_raw = raw
         if stamp < self._newest and not known:
             self.health.note("out_of_order")
         # A frame from the future, before the clock was set back, would count as newest for as long.
@@ -120,7 +124,8 @@ class CaptureHandler(Handler[CaptureConfig]):
             self._join.on_pose(pose)
 
     def on_camera_info(self, message: Any) -> None:
-        if not self._too_many_pixels("camera_info", int(message.width), int(message.height)):
+        size = int(message.width), int(message.height)
+        if not too_many_pixels(self.health, "camera_info", *size, self._limits.pixels):
             self._join.on_camera_info(message)
 
     def on_correction(self, topic: Topic, message: Any) -> None:
@@ -150,7 +155,7 @@ class CaptureHandler(Handler[CaptureConfig]):
     def _offer(self, frame: JoinedFrame) -> None:
         if not _is_raw(frame.image):  # one of the wrong size, by its first bytes, takes no place in the queue
             size = compressed_size(frame.image)
-            if self._too_many_pixels("image", *size):
+            if too_many_pixels(self.health, "image", *size, self._limits.pixels):
                 return
             self._join.check_size(size, frame.camera)
         if not self.outlet.more_waits():
@@ -205,22 +210,6 @@ class CaptureHandler(Handler[CaptureConfig]):
         lon, lat = self._frame.to_lonlat(*posed.pose.position[:2])
         known = self._join.assumed if covariance is None else covariance
         return place_to_fix(float(lon), float(lat), known[:2, :2], posed.stamp_ns, self._frame_id)
-
-    def _too_large(self, message: Any) -> bool:
-        """Return whether an image is too large to be queued; the size in its first bytes is checked later."""
-        raw = _is_raw(message)
-        if raw and self._too_many_pixels("image", int(message.width), int(message.height)):
-            return True
-        # The largest supported raw encoding has four bytes per pixel.
-        size, most = len(message.data), 4 * self._limits.pixels if raw else self._limits.image_bytes
-        if size > most:
-            key, what = "pixels" if raw else "image_bytes", f"image of {size} bytes; the maximum is {most}"
-            remedy = f"reduce the size, or raise {key} under `expert.limits` in the site file"
-            self.health.drop("too_large", f"{what}; {remedy}")
-        return size > most
-
-    def _too_many_pixels(self, what: str, width: int, height: int) -> bool:
-        return too_many_pixels(self.health, what, width, height, self._limits.pixels)
 
 
 NODE = NodeType("capture", CaptureConfig, CaptureHandler)

@@ -123,7 +123,11 @@ class LocateHandler(Handler[LocateConfig]):
             mark = marked_polygon(camera, outline, config.pixel_sigma, config.box_sigma, smoke, hidden)
         seen = SeenAt(Sighting(name, camera, pose, covariance, mark), stamp, source)
         track, alone = self._tracks.add(seen)
-        self._publish_estimate(name, alone, stamp)
+        said = self._said(alone)
+        fix = place_to_fix(said.name.lon, said.name.lat, alone.posterior.covariance, stamp, "map")
+        area = outline_to_msg(said.ellipses[-1].outline(), stamp)
+        for topic, sent in zip(_OF_CAMERAS, (_place_msg(said, stamp), fix, area), strict=True):
+            self.outlet.publish(self._own[name, topic], sent)
         if track.disputed:
             self.health.note("cameras_disagree")
         self.health.gauge("tracks", len(self._tracks.tracks))
@@ -150,13 +154,6 @@ class LocateHandler(Handler[LocateConfig]):
         known = ((name, self._cameras.get(name), poses) for name, poses in self._poses.items() if poses)
         cameras = [PosedCamera(name, camera, poses.newest[0]) for name, camera, poses in known if camera is not None]
         return answer(location, self._sight, self._site.frame, cameras, self._prior, self.config.smoke)
-
-    def _publish_estimate(self, name: str, alone: Location, stamp: int) -> None:
-        said = self._said(alone)
-        fix = place_to_fix(said.name.lon, said.name.lat, alone.posterior.covariance, stamp, "map")
-        area = outline_to_msg(said.ellipses[-1].outline(), stamp)
-        for topic, message in zip(_OF_CAMERAS, (_place_msg(said, stamp), fix, area), strict=True):
-            self.outlet.publish(self._own[name, topic], message)
 
     def _publish_tracks(self, stamp: int) -> None:
         features: list[Any] = []

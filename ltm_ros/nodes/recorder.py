@@ -1,7 +1,6 @@
 """recorder: write the serialised messages of topics into MCAP bags, within limits of disk space."""
 
 import re
-from collections.abc import Callable
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -12,6 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_msgs_py.bag.cdr import TF_TYPE, CameraFrames
 from ltm_msgs_py.bag.reader import decoded
@@ -55,9 +55,9 @@ class Recorder(Node):  # type: ignore[misc]
         config = read_parameters(self, RecorderConfig)
         self.health = Health()
         self.health.gauge("discovered", 0)
-        self._patterns = _patterns(config)
-        self._taken: set[str] = set()
         site = load_site(config.site)
+        self._patterns = _patterns(config, site)
+        self._taken: set[str] = set()
         poses = {} if config.topics else {camera_topic(site.name, name, POSED_POSE): name for name in site.cameras}
         self._poses, self._frames = frozenset(poses), CameraFrames(poses)
         path, tell = Path(config.bag), self.get_logger().warning
@@ -99,21 +99,14 @@ class Recorder(Node):  # type: ignore[misc]
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
-            taker = with_info(self._taker(topic, types[0], latched))
+            losses = None if latched else LossCounter(self, topic, self.health)
+            taker = with_info(partial(self._take, topic, types[0], losses))
             self.create_subscription(message_type, topic, taker, qos, raw=True)
         self.health.gauge("discovered", known)
 
-    def _taker(self, topic: str, type_name: str, latched: bool) -> Callable[[bytes, Any], None]:
-        losses = LossCounter(self, topic, self.health)
-
-        def take(cdr: bytes, info: Any) -> None:
-            if not latched:
-                losses.take(info)
-            self._take(topic, type_name, cdr)
-
-        return take
-
-    def _take(self, topic: str, type_name: str, cdr: bytes) -> None:
+    def _take(self, topic: str, type_name: str, losses: LossCounter | None, cdr: bytes, info: Any) -> None:
+        if losses is not None:
+            losses.take(info)
         self.health.received(topic)
         now = self.get_clock().now().nanoseconds
         self._disk.take(topic, type_name, cdr, now)
@@ -129,7 +122,7 @@ class Recorder(Node):  # type: ignore[misc]
             self.health.drop(cause_of(error), f"{topic}: {error}")
 
 
-def _patterns(config: RecorderConfig) -> list[str]:
+def _patterns(config: RecorderConfig, site: Site) -> list[str]:
     for pattern in config.topics:
         if not re.fullmatch(r"/[A-Za-z0-9_/*?\[\]-]+", pattern):
             raise ConfigError(
@@ -137,7 +130,6 @@ def _patterns(config: RecorderConfig) -> list[str]:
             )
     if config.topics:
         return list(config.topics)
-    site = load_site(config.site)
     cameras, whole_site = RECORDED
     names = [camera_topic(site.name, name, input_topic(one, t)) for name, one in site.cameras.items() for t in cameras]
     return [*names, *(site_topic(site.name, topic) for topic in whole_site), "/diagnostics"]

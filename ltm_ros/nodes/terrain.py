@@ -1,7 +1,7 @@
 """terrain: update a site's surface map from measured depth where several views agree."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -31,12 +31,6 @@ from ltm_ros.runtime.topics import of_camera
 
 GRID_CELLS_PER_S = 1_000_000
 """Cells per second of the latched grid of changes: a large grid is published less often."""
-_PARTS: Mapping[str, Topic] = {
-    "depth": topics.MEASURED_DEPTH,
-    "sigma": topics.MEASURED_SIGMA,
-    "info": topics.POSED_CAMERA_INFO,
-    "pose": topics.POSED_POSE,
-}
 _WAITING = 6
 """Maximum number of frames per camera that wait for their parts, and of labels that wait for their frame."""
 
@@ -87,10 +81,14 @@ class TerrainHandler(JoiningHandler[TerrainNodeConfig]):
         compile_kernels("terrain", site)
 
     def _join_of(self, camera: str) -> StampJoin:
-        named = {name: of_camera(self._site.name, camera, topic) for name, topic in _PARTS.items()}
-        labels = of_camera(self._site.name, camera, topics.LABELS_IMAGE)
-        parts = [Part(name, topic=topic) for name, topic in named.items()]
-        parts.append(Part("labels", wait_s=0.0, remembered=_WAITING, topic=labels))
+        at = partial(of_camera, self._site.name, camera)
+        parts = [
+            Part("depth", topic=at(topics.MEASURED_DEPTH)),
+            Part("sigma", topic=at(topics.MEASURED_SIGMA)),
+            Part("info", topic=at(topics.POSED_CAMERA_INFO)),
+            Part("pose", topic=at(topics.POSED_POSE)),
+            Part("labels", wait_s=0.0, remembered=_WAITING, topic=at(topics.LABELS_IMAGE)),
+        ]
         take, wait = partial(self._take, camera), self.config.max_wait
         return StampJoin(parts, take, self.health, _WAITING, max_wait=wait, camera=camera)
 

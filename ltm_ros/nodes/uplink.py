@@ -11,7 +11,6 @@ from rclpy.serialization import serialize_message
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.fuel.vote_columns import MAX_BYTES
-from ltm_core.site.site import Site
 from ltm_core.site.site_io import load_site
 from ltm_core.uplink.envelope import VotesGrid
 from ltm_core.uplink.outbox_io import OutboxFrame
@@ -51,7 +50,18 @@ class UplinkHandler(Handler[UplinkNodeConfig]):
             )
         self._site = site
         self._models: dict[str, str] = {}
-        self._link = TowerLink(site.region, _grid(site), folder / OUTBOX_FILE, health, _age_clock)
+        try:
+            grid = VotesGrid.of(site.in_crs(site.fuel_geometry(site.open_dem())), site.origin)
+        except ValidationError as error:
+            raise ConfigError(
+                f"crs {site.crs!r}: a site of a region needs a CRS by code, such as EPSG:32611"
+            ) from error
+
+        def age_clock() -> int | None:
+            """Return the clock for ages: without synchronisation, no frame counts as too old."""
+            return None if kernel_clock().synchronised is False else time.time_ns()
+
+        self._link = TowerLink(site.region, grid, folder / OUTBOX_FILE, health, age_clock)
 
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
@@ -86,18 +96,6 @@ def sector(message: Any) -> int:
     angles = np.radians(bearings.astype(np.float64))
     mean = math.atan2(float(np.sin(angles).sum()), float(np.cos(angles).sum()))
     return math.floor(mean % (2 * math.pi) * SECTORS / (2 * math.pi)) % SECTORS
-
-
-def _grid(site: Site) -> VotesGrid:
-    try:
-        return VotesGrid.of(site.in_crs(site.fuel_geometry(site.open_dem())), site.origin)
-    except ValidationError as error:
-        raise ConfigError(f"crs {site.crs!r}: a site of a region needs a CRS by code, such as EPSG:32611") from error
-
-
-def _age_clock() -> int | None:
-    """Return the clock for ages: without synchronisation, no frame counts as too old."""
-    return None if kernel_clock().synchronised is False else time.time_ns()
 
 
 NODE = NodeType("uplink", UplinkNodeConfig, UplinkHandler)

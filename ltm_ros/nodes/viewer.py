@@ -28,18 +28,6 @@ from ltm_ros.runtime.topics import of_camera, of_cameras, of_site
 from ltm_ros.viewer import RerunView
 from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT
 
-
-def free_path(path: Path) -> Path:
-    """Return `path`, or the first of `name_1`, `name_2`, ... (before a file's suffix) that does not exist.
-
-    An empty folder counts as not existing."""
-    candidate, n = path, 0
-    while candidate.is_file() or (candidate.is_dir() and any(candidate.iterdir())):
-        n += 1
-        candidate = path.with_name(f"{path.stem}_{n}{path.suffix}")
-    return candidate
-
-
 POINT_STEP = 12
 """Step in pixels between the points of a depth image in the 3D view."""
 
@@ -60,12 +48,16 @@ class ViewerHandler(JoiningHandler[ViewerConfig]):
         super().__init__(config, outlet, health)
         self._site = load_site(config.site)
         dem = self._site.open_dem()
+        save, number = Path(config.save) if config.save else None, 0
+        while save is not None and save.exists():
+            number += 1
+            save = save.with_name(f"{Path(config.save).stem}_{number}{save.suffix}")
         self._view = RerunView(
             f"ltm {self._site.name}",
             self._site,
             dem,
             life_form_labels(LabelSet.load(config_path(self._site.labels))),
-            save=free_path(Path(config.save)) if config.save else None,
+            save=save,
             serve=config.serve,
             web_port=config.web_port,
             grpc_port=config.grpc_port,
@@ -94,19 +86,17 @@ class ViewerHandler(JoiningHandler[ViewerConfig]):
     @property
     def subscriptions(self) -> Mapping[Topic, Callable[[Any], None]]:
         taken = {**super().subscriptions, **of_cameras(self._site, {topics.LABELS_HEAT: self.on_heat})}
-        whole = {topics.FUEL_MAP: self.on_fuel_map}
+        view = self._view
+        whole: dict[Topic, Callable[[Any], None]] = {
+            topics.FUEL_MAP: lambda message: view.log_fuel_map(stamp_of(message), *msg_to_classes(message))
+        }
         if self._site.terrain is not None:
-            whole |= {topics.TERRAIN_CHANGE: self.on_change, topics.TERRAIN_UPDATE: self.on_changed_cells}
+            whole[topics.TERRAIN_CHANGE] = lambda message: view.log_change(stamp_of(message), *msg_to_classes(message))
+            whole[topics.TERRAIN_UPDATE] = self.on_changed_cells
         return taken | {of_site(self._site.name, topic): take for topic, take in whole.items()}
 
     def on_heat(self, camera: str, message: Any) -> None:
         self._view.log_heat(camera, stamp_of(message), msg_to_array(message, ("mono8",)))
-
-    def on_fuel_map(self, message: Any) -> None:
-        self._view.log_fuel_map(stamp_of(message), *msg_to_classes(message))
-
-    def on_change(self, message: Any) -> None:
-        self._view.log_change(stamp_of(message), *msg_to_classes(message))
 
     def on_changed_cells(self, message: Any) -> None:
         changed, points = msg_to_changed(message)

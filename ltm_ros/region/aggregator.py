@@ -5,7 +5,7 @@ The map, its store and the rules for votes are those of a site's node `fuel_map`
 
 import sys
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from rclpy.serialization import deserialize_message
@@ -14,7 +14,6 @@ from sensor_msgs.msg import PointCloud2
 from ltm_core.base.errors import LtmError, MessageError
 from ltm_core.base.redaction import plain
 from ltm_core.base.resources import config_path
-from ltm_core.fuel.evidence import Window
 from ltm_core.fuel.prior import system_of
 from ltm_core.fuel.vote_columns import MAX_BYTES
 from ltm_core.pipeline.site_fuel import site_evidence_map
@@ -99,23 +98,16 @@ class Aggregator:
         if refusal:
             self._answer(frame, refusal)
 
-    def show(self) -> list[Window]:
-        """Recompute the map where frames were counted; return these parts of it."""
-        return self.persistence.show()
-
     def settle(self) -> dict[str, list[bytes]]:
         """Store the counted frames; return sealed acknowledgements by tower."""
-        for counted in self.persistence.settle(show=False):
-            self._answer_for(counted)
+        answers = self._sealed(self.persistence.settle(show=False))
         self._health.gauge("frames", self.persistence.saved_frames)
         self._health.gauge("unsaved_frames", self.persistence.unsaved_frames)
-        return self._sealed()
+        return answers
 
     def close(self) -> dict[str, list[bytes]]:
         """Store all frames if possible; return acknowledgements by tower. A tower sends an unstored frame again."""
-        for counted in self.persistence.close():
-            self._answer_for(counted)
-        return self._sealed()
+        return self._sealed(self.persistence.close())
 
     def _count(self, frame: FrameId, start: HeaderStart, envelope: Envelope) -> str:
         """Count a frame; return why it was not counted, or nothing. Raises LtmError for invalid votes."""
@@ -163,16 +155,16 @@ class Aggregator:
             self._transfers[tower] = found
         return found[1]
 
-    def _answer_for(self, counted: CountedFrame) -> None:
-        self._answer((*self._cameras[counted.record.source], counted.record.stamp_ns))
-
     def _answer(self, frame: FrameId, refusal: str = "") -> None:
         tower, camera, stamp = frame
         self._outcomes[tower].append(
             Outcome(camera=camera, stamp_ns=stamp, done=not refusal, why=refusal[:LONGEST_REASON])
         )
 
-    def _sealed(self) -> dict[str, list[bytes]]:
+    def _sealed(self, stored: Iterable[CountedFrame]) -> dict[str, list[bytes]]:
+        """Return the sealed answers for these frames, and for others that were decided before."""
+        for counted in stored:
+            self._answer((*self._cameras[counted.record.source], counted.record.stamp_ns))
         answers: dict[str, list[bytes]] = {}
         for tower, outcomes in self._outcomes.items():
             header = AckHeader(region=self._config.name, tower=tower).model_dump_json().encode()

@@ -18,6 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.storage.disk_io import sync
 from ltm_core.uplink.config import AGGREGATOR
 from ltm_core.uplink.envelope import NAME
 from ltm_ros.region.mqtt_link import LARGEST_PACKET, ROOT
@@ -123,11 +124,10 @@ class TrialAuthority:
         for file_name, content, mode in ((f"{name}.key", secret, 0o600), (f"{name}.crt", public, 0o644)):
             partial = self.folder / f".{file_name}.new"
             partial.unlink(missing_ok=True)
-            descriptor = os.open(partial, os.O_CREAT | os.O_WRONLY | os.O_EXCL | os.O_NOFOLLOW, mode)
-            with os.fdopen(descriptor, "wb") as file:
+            flags = os.O_CREAT | os.O_WRONLY | os.O_EXCL | os.O_NOFOLLOW
+            with os.fdopen(os.open(partial, flags, mode), "wb") as file:
                 file.write(content)
-                file.flush()
-                os.fsync(descriptor)
+            sync(partial)
             partial.replace(self.folder / file_name)
             new.append(self.folder / file_name)
         return key, certificate

@@ -106,11 +106,10 @@ def common_name(certificate: x509.Certificate) -> str:
 
 def _certificates(path: Path) -> list[x509.Certificate]:
     try:
-        found = x509.load_pem_x509_certificates(path.read_bytes())
+        return x509.load_pem_x509_certificates(path.read_bytes())
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else "no certificate in PEM"
         raise ConfigError(f"{path}: cannot be read ({why}); for a trial, make one with `ltm certs`") from error
-    return found
 
 
 def _key(path: Path) -> ec.EllipticCurvePrivateKey:

@@ -109,20 +109,15 @@ class MqttLink:
     def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
             self._tell(f"the broker rejected the connection: {reason}")
-        elif self._topics:
-            client.subscribe([(topic, 0) for topic in self._topics])
         else:
-            self._ready()
+            client.subscribe([(topic, 0) for topic in self._topics])
 
     def _on_subscribe(self, _client: Any, _data: Any, _number: Any, reasons: Any, _properties: Any) -> None:
         if refused := [str(reason) for reason in reasons if reason.is_failure]:
             self._tell(f"the broker rejected the subscriptions to {', '.join(self._topics)}: {', '.join(refused)}")
         else:
-            self._ready()
-
-    def _ready(self) -> None:
-        self.connections += 1
-        self.connected.set()
+            self.connections += 1
+            self.connected.set()
 
     def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if self.connected.is_set():

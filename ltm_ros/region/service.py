@@ -64,7 +64,7 @@ class RegionService:
                 self.step(SETTLE_S)
         finally:
             self._link.send(self._presence, b"", retain=True)
-            changed = bool(self.aggregator.show())
+            changed = bool(self.aggregator.persistence.show())
             self._answer(self.aggregator.close())
             if self._exports is not None:
                 self._exports.close(changed)
@@ -80,28 +80,19 @@ class RegionService:
         now = time.monotonic()
         self.aggregator.persistence.wait(now - self._last)
         self._last = now
-        changed = self._show(now)
+        changed = False
+        if now >= self._shown_at + self._showing_s * (1 / SHOWN_SHARE - 1):
+            changed = bool(self.aggregator.persistence.show())
+            self._shown_at = time.monotonic()
+            self._showing_s = self._shown_at - now
         answers = self.aggregator.settle()
-        self._greet()
+        # The presence is sent on each new connection, because the broker may have lost it.
+        connections = self._link.connections
+        if self._connections != connections and self._link.send(self._presence, self._life, retain=True):
+            self._connections = connections
         self._answer(answers)
         if self._exports is not None:
             self._exports.look(now, changed)
-
-    def _show(self, now_s: float) -> bool:
-        """Recompute the map; return whether parts changed."""
-        if now_s < self._shown_at + self._showing_s * (1 / SHOWN_SHARE - 1):
-            return False
-        changed = bool(self.aggregator.show())
-        self._shown_at = time.monotonic()
-        self._showing_s = self._shown_at - now_s
-        return changed
-
-    def _greet(self) -> None:
-        """Publish the aggregator's presence on each new connection, because the broker may have lost it."""
-        if self._link.connected.is_set() and self._connections != self._link.connections:
-            connections = self._link.connections
-            if self._link.send(self._presence, self._life, retain=True):
-                self._connections = connections
 
     def _answer(self, answers: dict[str, list[bytes]]) -> None:
         for tower, sealed in answers.items():
@@ -140,25 +131,22 @@ class RegionWatch:
     """Reports problems once a minute, and serves HTTP if the region's site file has a section `health`."""
 
     def __init__(self, config: RegionConfig, service: RegionService, health: Health) -> None:
-        site = service.aggregator.site
-        self._config, self._health = config, health
-        self._name = f"/{site.name}/region"
-        self._watch = TowerWatch(site.name, [self._name], site.health.frame_age if site.health else 0.0)
-        self._lock = threading.Lock()
+        self._folder, self._health = str(config.folder), health
+        self._site = service.aggregator.site
         self._server: PatientServer | None = None
-        if site.health is not None:
+        if (served := self._site.health) is not None:
             routes: dict[str, Route] = {
                 "GET /metrics": lambda _: WebResponse(exposition(self.status()), METRICS_KIND),
                 "GET /status.json": lambda _: WebResponse.json(self.status().as_dict()),
             }
-            self._server = PatientServer(site.health, routes, health, _say, _say)
+            self._server = PatientServer(served, routes, health, _say, _say)
 
     def status(self) -> TowerStatus:
         """Return the current status."""
-        health, now_s = self._health, time.monotonic()
-        with self._lock:
-            self._watch.hear(self._name, health.troubled, health.message, health.summary(), now_s)
-            return self._watch.status(now_s, time.time(), Machine.read([str(self._config.folder)]))
+        health, now_s, name = self._health, time.monotonic(), f"/{self._site.name}/region"
+        watch = TowerWatch(self._site.name, [name], self._site.health.frame_age if self._site.health else 0.0)
+        watch.hear(name, health.troubled, health.message, health.summary(), now_s)
+        return watch.status(now_s, time.time(), Machine.read([self._folder]))
 
     def run(self, stopping: threading.Event) -> None:
         said = ""

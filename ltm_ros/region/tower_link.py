@@ -212,16 +212,16 @@ class TowerLink:
             return []
 
     def _bound(self, outbox: Outbox) -> None:
-        removed = outbox.bound(self._clock())
-        if removed.aged:
+        aged, thinned = outbox.bound(self._clock())
+        if aged:
             words = f"frames older than {self._config.outbox_days:g} days were not sent; check the link"
-            self._health.drop("outbox_aged", words, removed.aged)
-        if removed.thinned:
+            self._health.drop("outbox_aged", words, aged)
+        if thinned:
             self._health.drop(
                 "outbox_thinned",
                 f"more than {self._config.outbox_bytes >> 20} MB were queued for the link: every other frame of "
                 "each view was deleted, the oldest first",
-                removed.thinned,
+                thinned,
             )
 
     def _send(self, outbox: Outbox, now_s: float) -> None:
@@ -247,27 +247,23 @@ class TowerLink:
             if (frame := outbox.frame(key)) is None:
                 continue
             try:
-                content = self._sealed(frame)
+                header = VotesHeader(
+                    region=self._config.name,
+                    tower=self._config.tower,
+                    camera=frame.camera,
+                    stamp_ns=frame.stamp_ns,
+                    model=frame.model,
+                    grid=self._grid,
+                )
+                content = self._identity.sealed(header.model_dump_json().encode(), frame.message)
             except (MessageError, ValidationError) as error:
-                outbox.acknowledge([frame.key])
+                outbox.acknowledge([key])
                 self._health.drop("message", f"the frame {frame.stamp_ns} of {frame.camera} cannot be sent: {error}")
                 continue
             if not self._link.send(votes_topic(self._config.name, self._config.tower), content):
                 return
             self._on_their_way[key] = now_s + self._resend.pause_s, size
             room -= size
-
-    def _sealed(self, frame: OutboxFrame) -> bytes:
-        """Return a frame's envelope. Raises MessageError if it is too large, ValidationError for invalid names."""
-        header = VotesHeader(
-            region=self._config.name,
-            tower=self._config.tower,
-            camera=frame.camera,
-            stamp_ns=frame.stamp_ns,
-            model=frame.model,
-            grid=self._grid,
-        )
-        return self._identity.sealed(header.model_dump_json().encode(), frame.message)
 
     def _state(self) -> None:
         """Report the frames in the outbox, or in memory while its disk fails."""

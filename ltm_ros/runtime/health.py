@@ -11,6 +11,7 @@ from enum import StrEnum
 import numpy as np
 
 from ltm_core.base.errors import LtmError
+from ltm_core.site.sections import MessageLimits
 from ltm_core.site.site import SITE_NAMES
 from ltm_core.vision.scene_view import SceneView
 
@@ -176,6 +177,21 @@ def too_many_pixels(health: Health, what: str, width: int, height: int, most: in
     size = f"{what} of {width} x {height} pixels; the maximum is {most}"
     health.drop("too_large", f"{size}; reduce the size, or raise pixels under `expert.limits` in the site file")
     return True
+
+
+def too_large(
+    health: Health, limits: MessageLimits, raw: bool, size_bytes: int, size: tuple[int, int] | None = None
+) -> bool:
+    """Return whether an image exceeds the site's limits; then it is counted as dropped. `size`: (width, height), if
+    known."""
+    if size is not None and too_many_pixels(health, "image", *size, limits.pixels):
+        return True
+    # The largest supported raw encoding has four bytes per pixel.
+    key, most = ("pixels", 4 * limits.pixels) if raw else ("image_bytes", limits.image_bytes)
+    if size_bytes > most:
+        remedy = f"reduce the size, or raise {key} under `expert.limits` in the site file"
+        health.drop("too_large", f"image of {size_bytes} bytes; the maximum is {most}; {remedy}")
+    return size_bytes > most
 
 
 def note_picture(health: Health, seen: SceneView) -> None:

@@ -78,7 +78,8 @@ class ChangeWatch:
 
 
 class AlertQueue:
-    """Delivers messages to one receiver in order, in its own thread, and again after each failure."""
+    """Delivers messages to one receiver in order, in its own thread, and again after each failure (`deliver` raises
+    LtmError)."""
 
     def __init__(self, name: str, deliver: Callable[[bytes], None], health: Health, first_retry_s: float = 2.0) -> None:
         self._name, self._deliver, self._health = name, deliver, health
@@ -127,7 +128,13 @@ class AlertSender:
 
     def __init__(self, config: AlertsConfig, site: str, start_s: float, health: Health) -> None:
         self._watch = ChangeWatch(site, start_s)
-        self._queues = [AlertQueue(name, deliver, health) for name, deliver in receivers(config, site)]
+        self._queues = []
+        if (url := config.webhook) is not None:
+            name = f"webhook {urlsplit(url).netloc}"
+            self._queues.append(AlertQueue(name, lambda content: post(url, config.token, content), health))
+        if config.mqtt is not None:
+            name = f"MQTT broker {urlsplit(config.mqtt).netloc}"
+            self._queues.append(AlertQueue(name, lambda content: publish(config, site, content), health))
 
     def look(self, conditions: Iterable[Condition], now_s: float, time_s: float) -> None:
         """Queue the messages that are due; see `ChangeWatch.messages`."""
@@ -138,14 +145,6 @@ class AlertSender:
     def close(self) -> None:
         for queue in self._queues:
             queue.close()
-
-
-def receivers(config: AlertsConfig, site: str) -> Iterator[tuple[str, Callable[[bytes], None]]]:
-    """Yield name and delivery of each receiver; a delivery raises LtmError if the message was not taken."""
-    if (url := config.webhook) is not None:
-        yield f"webhook {urlsplit(url).netloc}", lambda content: post(url, config.token, content)
-    if config.mqtt is not None:
-        yield f"MQTT broker {urlsplit(config.mqtt).netloc}", lambda content: publish(config, site, content)
 
 
 def post(url: str, token: SecretConfig | None, content: bytes) -> None:

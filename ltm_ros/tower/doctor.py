@@ -8,19 +8,19 @@ import os
 import platform
 import subprocess  # nosec B404 # argument lists, no shell
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
 
 from packaging.requirements import Requirement
 
 import ltm_core
-from ltm_core.base.errors import LtmError
+from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.numba_cache import use_own_cache
+from ltm_core.storage.disk_io import require_folder
 from ltm_ros.launching import shared_memory
 from ltm_ros.runtime.ros_environment import PROFILE_VARIABLES, available_cores, ros_environment
-from ltm_ros.tower.health_client import DoctorFinding, DoctorState
 
 MESSAGE_PACKAGES = (
     "builtin_interfaces",
@@ -39,6 +39,33 @@ INSTALL = "pip install"
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
 
 
+class DoctorState(StrEnum):
+    OK = "ok"
+    OPTIONAL = "optional"
+    """Missing, and needed only by some commands."""
+    WARNING = "warning"
+    """Works with limitations."""
+    MISSING = "missing"
+    """Missing, and the system does not work without it."""
+
+
+@dataclass(frozen=True)
+class DoctorFinding:
+    area: str
+    name: str
+    state: DoctorState
+    detail: str
+    remedy: str = ""
+    """Command that fixes it."""
+
+    @classmethod
+    def judged(
+        cls, area: str, name: str, fine: object, detail: str, remedy: str, bad: DoctorState = DoctorState.WARNING
+    ) -> "DoctorFinding":
+        """Return a finding that is ok, or has the state `bad` and the remedy."""
+        return cls(area, name, DoctorState.OK if fine else bad, detail, "" if fine else remedy)
+
+
 def examine(site: Path | None = None) -> list[DoctorFinding]:
     """Run all checks, in the order in which a user would fix them. `site`: the tower's file. Default: the installed
     one, if any."""
@@ -54,22 +81,9 @@ def examine(site: Path | None = None) -> list[DoctorFinding]:
 
 
 def as_json(findings: list[DoctorFinding]) -> str:
-    return json.dumps({"ok": healthy(findings), "findings": [asdict(finding) for finding in findings]}, indent=2)
-
-
-def healthy(findings: list[DoctorFinding]) -> bool:
-    """Return whether nothing required is missing."""
-    return not any(finding.state is DoctorState.MISSING for finding in findings)
-
-
-def summed_up(findings: list[DoctorFinding]) -> list[DoctorFinding]:
-    """Merge the working packages of one area into one line."""
-    merged: dict[str, list[str]] = {}
-    for one in findings:
-        if one.area.startswith("packages") and one.state is DoctorState.OK:
-            merged.setdefault(one.area, []).append(f"{one.name} {one.detail}")
-    lines = [DoctorFinding(area, "", DoctorState.OK, ", ".join(parts)) for area, parts in merged.items()]
-    return lines + [one for one in findings if one.area not in merged or one.state is not DoctorState.OK]
+    """Return the findings, and as `ok` whether nothing required is missing."""
+    fine = all(finding.state is not DoctorState.MISSING for finding in findings)
+    return json.dumps({"ok": fine, "findings": [asdict(finding) for finding in findings]}, indent=2)
 
 
 def requirements() -> dict[str, list[Requirement]]:
@@ -88,16 +102,20 @@ def check_packages() -> Iterator[DoctorFinding]:
     yield DoctorFinding("python", "Python", DoctorState.OK, f"{platform.python_version()} in {sys.prefix}")
     for extra, needed in requirements().items():
         area, absent = (f"packages [{extra}]", DoctorState.OPTIONAL) if extra else ("packages", DoctorState.MISSING)
+        working = []
         for one in needed:
             version = _version(one.name)
             if (one.marker is not None and not one.marker.evaluate({"extra": extra})) or (
                 extra == "ros" and version is None  # the ROS part checks what is present, because it may come from apt
             ):
                 continue
-            fine = version is not None and one.specifier.contains(version, prereleases=True)
-            said = version if fine else f"{version}, needed {one.specifier}" if version else "not installed"
-            remedy = f"{INSTALL} '{one.name}{one.specifier}'"
-            yield DoctorFinding.judged(area, one.name, fine, str(said), remedy, absent)
+            if version is not None and one.specifier.contains(version, prereleases=True):
+                working.append(f"{one.name} {version}")
+                continue
+            said = f"{version}, needed {one.specifier}" if version else "not installed"
+            yield DoctorFinding(area, one.name, absent, said, f"{INSTALL} '{one.name}{one.specifier}'")
+        if working:
+            yield DoctorFinding(area, "", DoctorState.OK, ", ".join(working))
 
 
 def _version(name: str) -> str | None:
@@ -201,42 +219,53 @@ def check_models() -> Iterator[DoctorFinding]:
 
 
 def check_machine() -> Iterator[DoctorFinding]:
-    area, cores, memory, folder = "machine", available_cores(), _memory_gb(), numba_cache()
+    area, cores = "machine", available_cores()
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    with contextlib.suppress(OSError, ValueError):
+        memory = min(memory, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e9)  # of the container
     remedy = "assign two cores: nodes wait for each other on one"
     yield DoctorFinding.judged(area, "cores", cores >= 2, f"{cores} for this process", remedy)
     remedy = f"assign {LEAST_MEMORY_GB:.0f} GB, or run fewer cameras with --only"
     yield DoctorFinding.judged(area, "memory", memory >= LEAST_MEMORY_GB, f"{memory:.1f} GB for this process", remedy)
-    said = str(folder or "no writable folder: kernels are compiled again at each start")
-    yield DoctorFinding.judged(area, "numba cache", folder, said, "export NUMBA_CACHE_DIR=/a/writable/folder")
+    own, given = use_own_cache(Path(ltm_core.__file__).parent), os.environ.get("NUMBA_CACHE_DIR")
+    folder = own or Path(given or Path.home() / ".cache/numba")
+    try:
+        require_folder(folder, "compiled kernels")
+        said, fine = str(folder), True
+    except ConfigError as error:
+        said, fine = f"{error}: kernels are compiled again at each start", False
+    yield DoctorFinding.judged(area, "numba cache", fine, said, "export NUMBA_CACHE_DIR=/a/writable/folder")
 
 
-def check_tower(site: Path | None) -> Iterator[DoctorFinding]:
-    """Check the tower of the site file, or the installed one if any."""
-    if site is not None or INSTALLED_SITE.exists():
-        from ltm_ros.tower.health_client import check_health_port  # reads site files: packages may be missing
+def check_tower(path: Path | None) -> Iterator[DoctorFinding]:
+    """Check the site file, or the installed one if any, and that its tower can answer monitoring systems; it runs
+    without that."""
+    if path is None and not INSTALLED_SITE.exists():
+        return
+    # Packages that these need may be missing.
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.runtime.web_server import bind_error, refusal
+    from ltm_ros.tower.health_client import ask
 
-        yield from check_health_port(site or INSTALLED_SITE)
-
-
-def _memory_gb() -> float:
-    """Return the memory that this process may use in GB: the machine's, or the container's if that is less."""
-    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    with contextlib.suppress(OSError, ValueError):
-        total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    return total / 1e9
-
-
-def numba_cache() -> Path | None:
-    """Return the folder of numba's compiled kernels, by its own search order; None if none is writable."""
-    use_own_cache(Path(ltm_core.__file__).parent)
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    beside = Path(ltm_core.__file__).resolve().parent / "__pycache__"
-    fallback = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba"
-    for folder in [Path(chosen)] if chosen else [beside, fallback]:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                return folder
-        except OSError:
-            continue
-    return None
+    area, path = "machine", path or INSTALLED_SITE
+    try:
+        site = load_site(path)
+    except LtmError as error:
+        yield DoctorFinding(area, "site file", DoctorState.MISSING, str(error), f"ltm check {path}")
+        return
+    health = site.health
+    if health is None or health.port == 0:
+        return
+    name, place = "health port", f"{health.address}:{health.port}"
+    if (taken := bind_error(health.address, health.port)) is None:
+        yield DoctorFinding(area, name, DoctorState.OK, f"{place} is free: no tower is running")
+        return
+    try:
+        found = ask(health, "/status.json")["site"]
+        other = "" if found == site.name else f"used by the tower of {found}"
+    except LtmError as why:
+        other = str(why)
+    except (TypeError, KeyError):
+        other = "another program answers on this port"
+    remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without it, and retries"
+    yield DoctorFinding.judged(area, name, not other, other or f"{site.name} answers on {place}", remedy)

@@ -1,23 +1,21 @@
-"""Serve a tower's health port, query it, and find which process uses it."""
+"""Serve a tower's health port, and query it."""
 
 import http.client
 import json
 import ssl
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from ltm_core.base.errors import ConfigError, LtmError
+from ltm_core.base.errors import ConfigError
 from ltm_core.site.sections import HealthConfig
-from ltm_core.site.site_io import load_site
 from ltm_ros.runtime.health import Health
 from ltm_ros.runtime.ros_environment import secret
-from ltm_ros.runtime.web_server import Route, WebServer, bind_error, refusal
+from ltm_ros.runtime.web_server import Route, WebServer, refusal
 
 RETRY_S: Final = 5.0
 """Seconds between two attempts to open the port: shorter than diagnostics keep an error, so that they always show it.
@@ -73,68 +71,36 @@ class PatientServer:
         self._config, self._routes = config, routes
         self._health, self._tell, self._warn, self._retry_s = health, tell, warn, retry_s
         self._closing = threading.Event()
-        self._server: WebServer | None = None
+        self.server: WebServer | None = None
+        """None while it does not listen."""
         self._thread = threading.Thread(target=self._try_again, name="health port", daemon=True)
         if (why := self._refusal()) is not None:
             self._warn(f"monitoring cannot reach this tower, everything else runs: {why}")
             self._thread.start()
 
-    @property
-    def url(self) -> str | None:
-        """Return the URL; None while it does not listen."""
-        return None if self._server is None else self._server.url
-
     def close(self) -> None:
         self._closing.set()
         if self._thread.ident is not None:
             self._thread.join()
-        if self._server is not None:
-            self._server.close()
+        if self.server is not None:
+            self.server.close()
 
     def _refusal(self) -> str | None:
         """Open the server; return why that is not possible now."""
         try:
-            self._server = open_health_server(self._config, self._routes)
+            self.server = open_health_server(self._config, self._routes)
         except (OSError, ConfigError) as error:
-            why = str(error)
-            if isinstance(error, OSError):
-                why = refusal(self._config.address, self._config.port, error)
+            place = self._config.address, self._config.port
+            why = refusal(*place, error) if isinstance(error, OSError) else str(error)
             why += f"; retrying every {self._retry_s:g} s"
             self._health.trouble("port", why)
             return why
-        self._tell(f"health port: {self._server.url}")
+        self._tell(f"health port: {self.server.url}")
         return None
 
     def _try_again(self) -> None:
         while not self._closing.wait(self._retry_s) and self._refusal() is not None:
             pass
-
-
-class DoctorState(StrEnum):
-    OK = "ok"
-    OPTIONAL = "optional"
-    """Missing, and needed only by some commands."""
-    WARNING = "warning"
-    """Works with limitations."""
-    MISSING = "missing"
-    """Missing, and the system does not work without it."""
-
-
-@dataclass(frozen=True)
-class DoctorFinding:
-    area: str
-    name: str
-    state: DoctorState
-    detail: str
-    remedy: str = ""
-    """Command that fixes it."""
-
-    @classmethod
-    def judged(
-        cls, area: str, name: str, fine: object, detail: str, remedy: str, bad: DoctorState = DoctorState.WARNING
-    ) -> "DoctorFinding":
-        """Return a finding that is ok, or has the state `bad` and the remedy."""
-        return cls(area, name, DoctorState.OK if fine else bad, detail, "" if fine else remedy)
 
 
 LARGEST = 16 << 20
@@ -226,29 +192,3 @@ def ask(config: HealthConfig, path: str) -> Any:
         except (OSError, http.client.HTTPException, ValueError) as error:
             said = f"no tower answers, but another program ({error}); check the port"
             raise ConfigError(f"{port.host}:{port.port}: {said}") from error
-
-
-def check_health_port(path: Path) -> Iterator[DoctorFinding]:
-    """Check that the tower can answer monitoring systems; it runs without that."""
-    area, name = "machine", "health port"
-    try:
-        site = load_site(path)
-    except LtmError as error:
-        yield DoctorFinding(area, name, DoctorState.WARNING, str(error), f"ltm check {path}")
-        return
-    health = site.health
-    if health is None or health.port == 0:
-        return
-    place = f"{health.address}:{health.port}"
-    if (taken := bind_error(health.address, health.port)) is None:
-        yield DoctorFinding(area, name, DoctorState.OK, f"{place} is free: no tower is running")
-        return
-    try:
-        found = ask(health, "/status.json")["site"]
-        other = "" if found == site.name else f"used by the tower of {found}"
-    except LtmError as why:
-        other = str(why)
-    except (TypeError, KeyError):
-        other = "another program answers on this port"
-    remedy = f"{refusal(health.address, health.port, taken)} of {path}; the tower runs without it, and retries"
-    yield DoctorFinding.judged(area, name, not other, other or f"{site.name} answers on {place}", remedy)

@@ -21,7 +21,6 @@ from ltm_core.base.resources import config_path
 from ltm_core.base.types import Float32Array, RgbImage, UInt8Array
 from ltm_core.fuel.life_form import life_form_labels
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pictures.legend import (
     UNLABELLED,
@@ -77,11 +76,6 @@ class CameraPicture:
         small = self.resized(WIDTH)
         return self if small is self else replace(small, full=to_jpeg(self.photo))
 
-    def without_pixels(self) -> "CameraPicture":
-        """Return the same without the memory of its images, for marks alone."""
-        nothing = np.zeros((0, 0), np.uint8)
-        return replace(self, photo=nothing[..., None], labels=nothing, depth=nothing.astype(np.float32), full=b"")
-
     def pixel(self, across: float, down: float) -> tuple[float, float]:
         """Return (u, v) in the camera's full image; `across` and `down` are shares of its width and height."""
         width, height = self.camera.width, self.camera.height
@@ -116,45 +110,6 @@ class CameraPicture:
         return MapCamera(self.name, self.camera, (float(x), float(y)), self.pose.angles_deg[0], reach)
 
 
-def map_image(
-    classes: UInt8Array,
-    geometry: GridGeometry,
-    palette: ClassPalette,
-    cameras: Sequence[MapCamera],
-    places: Sequence[MapCamera] = (),
-    note: str = "",
-) -> RgbImage:
-    """Return the part of the life form map that the cameras see, or all that is known without cameras, with the places
-    a scale bar with a note, and a legend; `classes` (H, W), 255 unknown, north up."""
-    known = (classes != UNLABELLED) & (not cameras)
-    seen = np.concatenate([camera.sector() for camera in cameras]).tolist() if cameras else ()
-    bounds = interesting_bounds(known, geometry, seen, geometry)
-    view = view_of(bounds, WIDTH)
-    row, col, inside = cells_under(geometry, view)
-    ids = np.where(inside, classes[row, col], np.uint8(UNLABELLED))
-    picture = label_colors(ids, palette, unlabelled=_GREY)
-    lines = np.zeros(ids.shape, np.bool_)
-    lines[:, 1:] |= ids[:, 1:] != ids[:, :-1]
-    lines[1:] |= ids[1:] != ids[:-1]
-    picture[lines] = (picture[lines] * 0.85).astype(np.uint8)
-    shown = Palette((*palette.names, "not known"), (*palette.colors, _GREY))
-    found = [len(shown.names) - 1 if label == UNLABELLED else label for label in np.unique(ids).tolist()]
-    legend = label_legend(WIDTH, shown, found)
-    return finished(furnished(picture, view, [*cameras, *places]), view, legend, note=note)
-
-
-def legends(labels: ClassPalette) -> dict[str, list[tuple[str, list[int]]]]:
-    """Return names and colours of what the page lays over photos."""
-    ranges = (30.0, 100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
-    shades = depth_colors(np.array(ranges)).tolist()
-    return {
-        "labels": [
-            (str(name), [int(c) for c in color]) for name, color in zip(labels.names, labels.colors, strict=True)
-        ],
-        "depth": [(metres(value), color) for value, color in zip(ranges, shades, strict=True)],
-    }
-
-
 WATCHED_S = 60.0
 WAITING = 3
 """Maximum number of incomplete frames of a camera."""
@@ -170,7 +125,13 @@ class LastPictures:
         self._cameras = {name: _CameraFrames(node, site, name, health, self._keep) for name in cameras}
         self._kept: dict[str, CameraPicture] = {}
         self._recent: dict[str, deque[CameraPicture]] = {name: deque(maxlen=RECENT) for name in cameras}
-        self.legends = legends(self._labels)
+        ranges = (30.0, 100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0)
+        shades = depth_colors(np.array(ranges)).tolist()
+        self.legends = {
+            "labels": list(zip(self._labels.names, self._labels.colors, strict=True)),
+            "depth": list(zip(map(metres, ranges), shades, strict=True)),
+        }
+        """Names and colours of what the page lays over photos."""
         self._map: Any = None
         self._looked_s = -float("inf")
         self._lock = threading.Lock()
@@ -213,31 +174,41 @@ class LastPictures:
         small = picture.resized(width)
         return [small.jpeg(kind, self._labels, SMALL_QUALITY) for kind in KINDS]
 
-    def map_image(self, places: Sequence[tuple[int, float, float]] = ()) -> RgbImage | None:
-        """Return the map (H, W, 3) with places (number, longitude, latitude); None if no map has come. Raises
+    def map_png(self, places: Sequence[tuple[int, float, float]] = ()) -> bytes | None:
+        """Return the part of the life form map that the cameras see, or all that is known without cameras, with places
+        (number, longitude, latitude), a scale bar with a note, and a legend, as PNG; None if no map has come. Raises
         MessageError."""
         with self._lock:
             message, cameras = self._map, [picture.on_map for picture in self._kept.values()]
         if message is None:
             return None
         classes, geometry = msg_to_classes(message)
-        marks = []
+        known = (classes != UNLABELLED) & (not cameras)
+        seen = np.concatenate([camera.sector() for camera in cameras]).tolist() if cameras else ()
+        view = view_of(interesting_bounds(known, geometry, seen, geometry), WIDTH)
+        row, col, inside = cells_under(geometry, view)
+        ids, palette = np.where(inside, classes[row, col], np.uint8(UNLABELLED)), self._map_palette
+        picture = label_colors(ids, palette, unlabelled=_GREY)
+        lines = np.zeros(ids.shape, np.bool_)
+        lines[:, 1:] |= ids[:, 1:] != ids[:, :-1]
+        lines[1:] |= ids[1:] != ids[:-1]
+        picture[lines] = (picture[lines] * 0.85).astype(np.uint8)
+        shown = Palette((*palette.names, "not known"), (*palette.colors, _GREY))
+        found = [len(shown.names) - 1 if label == UNLABELLED else label for label in np.unique(ids).tolist()]
         for number, lon, lat in places:
             x, y = self._site.frame.from_lonlat(lon, lat)
-            marks.append(MapCamera(f"place {number}", None, (float(x), float(y))))
+            cameras.append(MapCamera(f"place {number}", None, (float(x), float(y))))
         stamp = stamp_of(message)
         dated = f"as of {moment_of_stamp(stamp):%Y-%m-%d %H:%M} UTC" if stamp else "prior map, nothing seen"
-        return map_image(classes, geometry, self._map_palette, cameras, marks, f"{self._site.crs}, {dated}")
-
-    def map_png(self, places: Sequence[tuple[int, float, float]] = ()) -> bytes | None:
-        """Return a PNG of `map_image`. Raises MessageError."""
-        image = self.map_image(places)
-        return None if image is None else to_png(image)
+        legend, note = label_legend(WIDTH, shown, found), f"{self._site.crs}, {dated}"
+        return to_png(finished(furnished(picture, view, cameras), view, legend, note=note))
 
     def _keep(self, picture: CameraPicture) -> None:
+        none = np.zeros((0, 0), np.uint8)  # marks need no pixels
+        small = replace(picture, photo=none[..., None], labels=none, depth=none.astype(np.float32), full=b"")
         with self._lock:
             self._kept[picture.name] = picture
-            self._recent[picture.name].append(picture.without_pixels())
+            self._recent[picture.name].append(small)
 
     def _keep_map(self, message: Any) -> None:
         with self._lock:

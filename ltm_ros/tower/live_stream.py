@@ -1,5 +1,4 @@
-"""Stream what the status page shows over one connection of at most 1 Mbit/s: small images, and the map's tiles as they
-change.
+"""Stream what the status page shows over one connection of at most 1 Mbit/s: small images, and the map when it changes.
 
 A stream is a line `FIRST_LINE`, then records: a line of JSON with `kind` and `bytes`, then that many bytes.
 
@@ -7,24 +6,21 @@ A stream is a line `FIRST_LINE`, then records: a line of JSON with `kind` and `b
 |---|---|---|
 | page | | `page.json`, compressed by zlib |
 | frame | camera, stamp_s, sizes | JPEGs of photo, labels and depth, one after the other; `sizes`: bytes of each |
-| tile | x, y, width, height | up to `TILE` x `TILE` RGB pixels of the map of that size, from (x, y), by zlib |"""
+| map | | PNG |"""
 
 import json
 import threading
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Final, Protocol
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Final
 
 from ltm_core.base.errors import LtmError
 
 if TYPE_CHECKING:
-    from ltm_core.base.types import RgbImage
-    from ltm_ros.tower.last_pictures import CameraPicture
+    from ltm_ros.tower.last_pictures import CameraPicture, LastPictures
 
-FIRST_LINE: Final = b"ltm live 1\n"
+FIRST_LINE: Final = b"ltm live 2\n"
 BYTES_PER_S: Final = 90_000
 """Bytes of all streams in a second. With the headers of TCP, TLS and SSH they stay below 1 Mbit/s."""
 CHUNK: Final = 4096
@@ -32,28 +28,17 @@ CHUNK: Final = 4096
 PAGE_S: Final = 2.0
 """Seconds between two pages; they also show that the connection works."""
 MAP_S: Final = 5.0
-"""Seconds between two checks of the map for changed tiles."""
+"""Least seconds between two maps, and"""
+MAP_SHARE: Final = 0.2
+"""largest share of the rate for them."""
 IDLE_S: Final = 0.1
 ROUND_S: Final = 2.0
 """Seconds in which every camera is sent once; images get smaller with the number of cameras."""
 WIDTHS: Final = (640, 480, 320, 240, 160)
 """Widths of images in pixels. The next smaller one is taken while a frame has too many bytes for its camera's share of
 the time, and the next larger one after a frame of less than a third of them."""
-TILE: Final = 128
 KINDS: Final = ("photo", "labels", "depth")
 """Images of a frame."""
-
-
-class Shown(Protocol):
-    """What the status page shows."""
-
-    def shown(self, camera: str) -> "CameraPicture | None": ...
-
-    def stamps_s(self) -> dict[str, float]: ...
-
-    def map_image(self) -> "RgbImage | None": ...
-
-    def jpegs(self, picture: "CameraPicture", width: int) -> list[bytes]: ...
 
 
 class LiveStream:
@@ -63,7 +48,7 @@ class LiveStream:
     def __init__(
         self,
         page: Callable[[], dict[str, Any]],
-        pictures: Shown,
+        pictures: "LastPictures",
         tell: Callable[[LtmError], None],
         rate: float = BYTES_PER_S,
     ) -> None:
@@ -76,22 +61,17 @@ class LiveStream:
         for record in self._records():
             for start in range(0, len(record), CHUNK):
                 chunk = record[start : start + CHUNK]
-                self._wait_for(len(chunk))
+                with self._lock:
+                    due = max(time.monotonic(), self._free_at)
+                    self._free_at = due + len(chunk) / self._rate
+                time.sleep(max(0.0, due - time.monotonic()))
                 yield chunk
-
-    def _wait_for(self, size: int) -> None:
-        with self._lock:
-            due = max(time.monotonic(), self._free_at)
-            self._free_at = due + size / self._rate
-        time.sleep(max(0.0, due - time.monotonic()))
 
     def _records(self) -> Iterator[bytes]:
         yield FIRST_LINE
         sent: dict[str, float] = {}
-        tiles: dict[tuple[int, ...], bytes] = {}
-        news_of_map: Iterator[bytes] = iter(())
-        page_at = map_at = -float("inf")
-        size = 1
+        page_at = map_due = -float("inf")
+        sent_map, size = b"", 1
         while True:
             news = {camera: s for camera, s in self._pictures.stamps_s().items() if sent.get(camera) != s}
             # The camera that was sent longest ago comes first; a new one before all.
@@ -108,11 +88,11 @@ class LiveStream:
                     self._tell(error)
                 else:
                     yield record
-            if tile := next(news_of_map, b""):  # between two frames
-                yield tile
-            elif time.monotonic() - map_at >= MAP_S:
-                map_at = time.monotonic()
-                news_of_map = self._changed_tiles(tiles)
+            if time.monotonic() >= map_due:
+                if (png := self._map()) and png != sent_map:
+                    sent_map = png
+                    yield _record("map", png)
+                map_due = time.monotonic() + max(MAP_S, len(sent_map) / (MAP_SHARE * self._rate))
             elif camera is None:
                 time.sleep(IDLE_S)
 
@@ -127,24 +107,12 @@ class LiveStream:
         record = _record("frame", b"".join(images), camera=picture.name, stamp_s=stamp_s, sizes=sizes)
         return max(0, size - 1) if needed < room / 3 else size, record
 
-    def _changed_tiles(self, tiles: dict[tuple[int, ...], bytes]) -> Iterator[bytes]:
+    def _map(self) -> bytes | None:
         try:
-            image = self._pictures.map_image()
+            return self._pictures.map_png()
         except LtmError as error:
             self._tell(error)
-            return
-        if image is None:
-            return
-        height, width = image.shape[:2]
-        if tiles and next(iter(tiles))[2:] != (width, height):
-            tiles.clear()
-        for y in range(0, height, TILE):
-            for x in range(0, width, TILE):
-                content = np.ascontiguousarray(image[y : y + TILE, x : x + TILE]).tobytes()
-                place = (x, y, width, height)
-                if tiles.get(place) != content:
-                    tiles[place] = content
-                    yield _record("tile", zlib.compress(content), x=x, y=y, width=width, height=height)
+            return None
 
 
 def _record(kind: str, content: bytes, **about: object) -> bytes:

@@ -7,6 +7,7 @@ import shutil
 import subprocess  # nosec B404 # argument lists, no shell
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.storage.disk_io import free_bytes, sync
@@ -198,15 +199,17 @@ class PackageFile:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def program_output(*command: str, check: bool = True) -> str:
-    """Run a program of the system; return its output. Raises UpgradeError, unless only its exit code is not 0 and
-    `check` is false."""
+def program_output(*command: str, check: bool = True, timeout_s: float = 900.0, **options: Any) -> str:
+    """Run a program of the system; return its output. `options`: of `subprocess.run`. Raises UpgradeError, unless only
+    its exit code is not 0 and `check` is false."""
     shown = " ".join(command)
     try:
-        ran = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=900)  # nosec B603 # no shell
-    except (FileNotFoundError, subprocess.TimeoutExpired) as error:
+        ran: subprocess.CompletedProcess[str] = subprocess.run(  # nosec B603 # no shell
+            command, capture_output=True, text=True, errors="replace", timeout=timeout_s, **options
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
         raise UpgradeError(f"{shown}: {error}: a tower needs Debian or a derivative with systemd") from error
     if check and ran.returncode:
-        said = ran.stderr.strip().splitlines()
-        raise UpgradeError(f"{shown}: {said[-1] if said else f'exit code {ran.returncode}'}")
+        lines = [line for line in (ran.stdout + ran.stderr).splitlines() if line.strip()]
+        raise UpgradeError(f"{shown}: {'; '.join(lines[-3:]) or f'exit code {ran.returncode}'}")
     return ran.stdout.strip()

@@ -84,7 +84,14 @@ def copy_stores(state: Path, copies: Path, version: str) -> Path | None:
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     for store in stores:
-        _backup(store, partial / store.name)
+        try:
+            with (
+                contextlib.closing(sqlite3.connect(f"{store.resolve().as_uri()}?mode=ro", uri=True)) as source,
+                contextlib.closing(sqlite3.connect(partial / store.name)) as copy,
+            ):
+                source.backup(copy)
+        except sqlite3.Error as error:
+            raise StoreError(f"{store}: cannot be copied ({error}); nothing was changed") from error
         _give_to_owner_of(store, partial / store.name)
     os.sync()
     partial.rename(target)
@@ -143,17 +150,6 @@ def schema_of(store: Path) -> tuple[int, tuple[str, ...]]:
             return int(version), tuple(map(str, schema))
     except sqlite3.Error:
         return -1, ()
-
-
-def _backup(store: Path, target: Path) -> None:
-    try:
-        with (
-            contextlib.closing(sqlite3.connect(f"{store.resolve().as_uri()}?mode=ro", uri=True)) as source,
-            contextlib.closing(sqlite3.connect(target)) as copy,
-        ):
-            source.backup(copy)
-    except sqlite3.Error as error:
-        raise StoreError(f"{store}: cannot be copied ({error}); nothing was changed") from error
 
 
 def _make_own(folder: Path) -> None:

@@ -12,20 +12,18 @@ import zlib
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from importlib.resources import files
+from itertools import accumulate
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
-import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.strict_model import problem_text
-from ltm_core.base.types import RgbImage
-from ltm_core.pictures.legend import to_png
 from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 from ltm_ros.tower.health_client import TowerPort
-from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, TILE
+from ltm_ros.tower.live_stream import FIRST_LINE, KINDS
 from ltm_ros.viewer.server import listens
 
 LONGEST_LINE: Final = 1024
@@ -44,15 +42,11 @@ class StreamError(LtmError):
 
 
 class _Record(BaseModel):
-    kind: Literal["page", "frame", "tile"]
+    kind: Literal["page", "frame", "map"]
     bytes: int = Field(ge=0, le=MOST_BYTES)
     camera: str = Field("", pattern="^[a-z][a-z0-9_]{0,63}$|^$")
     stamp_s: float = Field(0.0, allow_inf_nan=False)
     sizes: list[int] = Field(default_factory=list, max_length=len(KINDS))
-    x: int = Field(0, ge=0, le=4096, multiple_of=TILE)
-    y: int = Field(0, ge=0, le=4096, multiple_of=TILE)
-    width: int = Field(0, ge=0, le=4096)
-    height: int = Field(0, ge=0, le=4096)
 
 
 class TowerMirror:
@@ -66,14 +60,13 @@ class TowerMirror:
         self._lock = threading.Lock()
         self._page: dict[str, Any] | None = None
         self._trouble = "connecting"
-        self._images: dict[str, tuple[float, list[bytes]]] = {}
-        self._map: RgbImage | None = None
+        self._stamps: dict[str, float] = {}
+        """Stamps of the received frames in seconds, by camera."""
         self._closing = threading.Event()
         page = (files("ltm_ros.tower") / "status_page.html").read_bytes()
         self._routes: dict[str, Route] = {
-            "GET /": lambda _: WebResponse(page, "text/html; charset=utf-8"),
+            "GET /": _serving(page, "text/html; charset=utf-8"),
             "GET /page.json": lambda _: self._page_json(),
-            "GET /map.png": lambda _: self._map_png(),
             "POST /mark": self._mark,
         }
         begun = self._reach().request("GET", "/live")
@@ -89,7 +82,7 @@ class TowerMirror:
     def stamps_s(self) -> dict[str, float]:
         """Return the stamps of the received frames in seconds, by camera."""
         with self._lock:
-            return {camera: stamp for camera, (stamp, _) in self._images.items()}
+            return dict(self._stamps)
 
     def _receive(self, response: http.client.HTTPResponse | None) -> None:
         pace = Backoff(1.0)
@@ -114,33 +107,19 @@ class TowerMirror:
             page = _json(content)
             with self._lock:
                 self._page = page
-        elif record.kind == "tile":
-            self._paint(record, content)
+        elif record.kind == "map":
+            self._routes["GET /map.png"] = _serving(content, "image/png")
         else:
-            ends = np.cumsum(record.sizes)
+            ends = list(accumulate(record.sizes))
             if len(ends) != len(KINDS) or ends[-1] != len(content) or min(record.sizes) < 0 or not record.camera:
                 raise StreamError(f"a frame has images of {record.sizes} bytes, and {len(content)} in all")
+            if len(self._stamps) >= MOST_CAMERAS and record.camera not in self._stamps:
+                raise StreamError(f"the tower sends images of more than {MOST_CAMERAS} cameras")
             images = [content[end - size : end] for size, end in zip(record.sizes, ends, strict=True)]
+            for kind, image in zip((*KINDS, "full"), (*images, images[0]), strict=True):
+                self._routes[f"GET /picture/{record.camera}/{kind}.jpg"] = _serving(image, "image/jpeg")
             with self._lock:
-                if len(self._images) >= MOST_CAMERAS and record.camera not in self._images:
-                    raise StreamError(f"the tower sends images of more than {MOST_CAMERAS} cameras")
-                self._images[record.camera] = record.stamp_s, images
-            for kind, number in {**{kind: number for number, kind in enumerate(KINDS)}, "full": 0}.items():
-                self._routes[f"GET /picture/{record.camera}/{kind}.jpg"] = self._picture(record.camera, number)
-
-    def _paint(self, record: _Record, content: bytes) -> None:
-        with self._lock:
-            size = (record.height, record.width, 3)
-            if self._map is None or self._map.shape != size:
-                self._map = np.full(size, 205, np.uint8)
-            tile = self._map[record.y : record.y + TILE, record.x : record.x + TILE]
-            pixels = _inflated(content, tile.size)
-            if len(pixels) != tile.size:
-                raise StreamError(f"a tile has {len(pixels)} bytes; expected {tile.size}")
-            tile[:] = np.frombuffer(pixels, np.uint8).reshape(tile.shape)
-
-    def _picture(self, camera: str, number: int) -> Route:
-        return lambda _: WebResponse(self._images[camera][1][number], "image/jpeg")
+                self._stamps[record.camera] = record.stamp_s
 
     def _page_json(self) -> WebResponse:
         stamps = self.stamps_s()
@@ -149,18 +128,16 @@ class TowerMirror:
                 return WebResponse.error(HTTPStatus.SERVICE_UNAVAILABLE, self._trouble)
             return WebResponse.json(self._page | {"pictures": stamps, "every_ms": EVERY_MS})
 
-    def _map_png(self) -> WebResponse:
-        with self._lock:
-            if self._map is None:
-                return WebResponse.error(HTTPStatus.NOT_FOUND, "not available yet")
-            return WebResponse(to_png(self._map), "image/png")
-
     def _mark(self, body: bytes) -> WebResponse:
         try:
             with self._reach().request("POST", "/mark", body) as response:
                 return WebResponse(response.read(MOST_BYTES), "application/json")
         except LtmError as error:
             return WebResponse.error(HTTPStatus.BAD_GATEWAY, str(error))
+
+
+def _serving(content: bytes, kind: str) -> Route:
+    return lambda _: WebResponse(content, kind)
 
 
 def _records(stream: IO[bytes] | http.client.HTTPResponse) -> Iterator[tuple[_Record, bytes]]:
@@ -178,17 +155,10 @@ def _records(stream: IO[bytes] | http.client.HTTPResponse) -> Iterator[tuple[_Re
         yield record, content
 
 
-def _inflated(content: bytes, most: int) -> bytes:
-    try:
-        return zlib.decompressobj().decompress(content, most + 1)[: most + 1]
-    except zlib.error as error:
-        raise StreamError(f"the stream has an invalid record ({error})") from error
-
-
 def _json(content: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(_inflated(content, MOST_BYTES), parse_constant=_no_number)
-    except (ValueError, RecursionError) as error:
+        found = json.loads(zlib.decompressobj().decompress(content, MOST_BYTES), parse_constant=_no_number)
+    except (zlib.error, ValueError, RecursionError) as error:
         raise StreamError("the stream has a page that is not JSON") from error
     if not isinstance(found, dict):
         raise StreamError("the stream has a page that is not a JSON mapping")
@@ -213,53 +183,39 @@ def reached(tower: str, token: Path | None, certificate: Path | None) -> Iterato
     match = _DESTINATION.fullmatch(tower)
     if match is None:
         raise ConfigError(f"--connect {tower}: give [USER@]HOST[:PORT] for SSH, or https://HOST[:PORT]")
-    tunnel = _Tunnel(match["host"], int(match["port"] or HEALTH_PORT))
-    here = TowerPort.of_url(f"{'http' if certificate is None else 'https'}://{tunnel.place}", token, certificate)
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        here: int = probe.getsockname()[1]
+    port = TowerPort.of_url(f"{'http' if certificate is None else 'https'}://127.0.0.1:{here}", token, certificate)
+    forward = f"127.0.0.1:{here}:127.0.0.1:{match['port'] or HEALTH_PORT}"
+    tunnel: subprocess.Popen[bytes] | None = None
 
     def reach() -> TowerPort:
-        tunnel.open()
-        return here
+        nonlocal tunnel
+        if tunnel is None or tunnel.poll() is not None:
+            tunnel = _ssh(match["host"], forward)
+            deadline = time.monotonic() + TUNNEL_S
+            while not listens(here):
+                if tunnel.poll() is not None:
+                    said = f"ended with exit code {tunnel.returncode}"
+                    raise ConfigError(f"ssh {match['host']}: {said}; its message is above")
+                if time.monotonic() > deadline:
+                    tunnel.kill()
+                    raise ConfigError(f"ssh {match['host']}: no connection within {TUNNEL_S:.0f} s")
+                time.sleep(0.05)
+        return port
 
     try:
-        tunnel.open()
+        reach()
         yield reach
     finally:
-        tunnel.close()
+        if tunnel is not None:
+            tunnel.terminate()
+            tunnel.wait()
 
 
-class _Tunnel:
-    """A process of SSH that forwards `place`, on loopback, to a port on the loopback of a host."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self._host = host
-        with socket.create_server(("127.0.0.1", 0)) as probe:
-            self._here = probe.getsockname()[1]
-        self.place = f"127.0.0.1:{self._here}"
-        options = [f"-o{option}" for option in ("ExitOnForwardFailure=yes", "ServerAliveInterval=15")]
-        self._command = ["ssh", "-N", "-T", *options, "-L", f"{self.place}:127.0.0.1:{port}", "--", host]
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def open(self) -> None:
-        """Start the process unless it runs, and wait until it forwards. Raises ConfigError."""
-        if self._process is not None and self._process.poll() is None:
-            return
-        try:
-            self._process = subprocess.Popen(self._command)  # nosec B603
-        except FileNotFoundError as error:
-            raise ConfigError(
-                "--connect needs the program ssh: install openssh-client, or give https://HOST"
-            ) from error
-        deadline = time.monotonic() + TUNNEL_S
-        while not listens(self._here):
-            if self._process.poll() is not None:
-                said = f"ended with exit code {self._process.returncode}"
-                raise ConfigError(f"ssh {self._host}: {said}; its message is above")
-            if time.monotonic() > deadline:
-                self.close()
-                raise ConfigError(f"ssh {self._host}: no connection within {TUNNEL_S:.0f} s")
-            time.sleep(0.05)
-
-    def close(self) -> None:
-        if self._process is not None:
-            self._process.terminate()
-            self._process.wait()
+def _ssh(host: str, forward: str) -> subprocess.Popen[bytes]:
+    options = [f"-o{option}" for option in ("ExitOnForwardFailure=yes", "ServerAliveInterval=15")]
+    try:
+        return subprocess.Popen(["ssh", "-N", "-T", *options, "-L", forward, "--", host])  # nosec B603 B607
+    except FileNotFoundError as error:
+        raise ConfigError("--connect needs the program ssh: install openssh-client, or give https://HOST") from error

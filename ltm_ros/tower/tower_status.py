@@ -183,6 +183,12 @@ class TowerWatch:
             pose = f"{pose}; mount {mount}" if pose else f"mount {mount}"
         age_s = None if stamp is None else time_s - stamp
         state, why = self._state(name, now_s, age_s)
+        wrong = (votes.values.get("reason.pose_contradicted") if votes else "") or ""
+        if not state.sending:
+            wrong = why or state
+        elif not wrong and ("pose_suspected" in pose or "slipped" in pose):
+            last = judge.values.get("last_verdict") if judge else ""
+            wrong = f"the pose is uncertain{f' ({last})' if last else ''}; check whether the mount has moved"
         return CameraStatus(
             name=name,
             state=state,
@@ -194,7 +200,7 @@ class TowerWatch:
             dropped=dropped,
             latency_s=max(latencies) / 1000 if latencies else None,
             pose=pose,
-            wrong=_camera_wrong(name, state, why, pose, judge, votes),
+            wrong=f"{name}: {wrong}" if wrong else "",
         )
 
     def _state(self, name: str, now_s: float, age_s: float | None) -> tuple[CameraState, str]:
@@ -209,6 +215,8 @@ class TowerWatch:
             limit_s = max(limit_s, node.number("stalled_after_s") or 0.0)
             if state.failing or state in (CameraState.CONNECTING, CameraState.NIGHT):
                 return state, why or "no image yet" * (state is CameraState.CONNECTING)
+        if age_s is None and (capture := self._node(f"/{self._site}/{name}/capture", now_s)).state == "warning":
+            return CameraState.CONNECTING, f"capture: {capture.said}"
         if age_s is None:
             why = "no frame since the start; check that the camera is on and publishes to its topics"
             return CameraState.CONNECTING, why
@@ -226,19 +234,6 @@ class TowerWatch:
             since_s = own if own is not None and max(since_s, 0.0) < own <= time_s else time_s
             self._states[name] = state, since_s
         return since_s
-
-
-def _camera_wrong(
-    name: str, state: CameraState, why: str, pose: str, judge: NodeState | None, votes: NodeState | None
-) -> str:
-    if not state.sending:
-        return f"{name}: {why or state}"
-    if votes is not None and (contradicted := votes.values.get("reason.pose_contradicted")):
-        return f"{name}: {contradicted}"
-    if "pose_suspected" in pose or "slipped" in pose:
-        why = judge.values.get("last_verdict", "") if judge else ""
-        return f"{name}: the pose is uncertain{f' ({why})' if why else ''}; check whether the mount has moved"
-    return ""
 
 
 def camera_of(name: str) -> str:

@@ -6,14 +6,13 @@ changes nothing. A failure after it brings the previous release back."""
 
 import os
 import pwd
-import subprocess  # nosec B404 # argument lists, no shell
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ltm_core.base.errors import LtmError
-from ltm_ros.tower.releases import PackageFile, Releases, Trial, UpgradeError
+from ltm_ros.tower.releases import PackageFile, Releases, Trial, UpgradeError, program_output
 from ltm_ros.tower.store_copy import SystemdService, copy_stores, return_stores
 
 LOOK_S = 0.5
@@ -175,21 +174,10 @@ class Upgrade:
         for what, command in questions:
             begun = time.monotonic()
             try:
-                ran = subprocess.run(  # nosec B603 # no shell
-                    [*become, "nice", "-n", "10", *command],
-                    capture_output=True,
-                    text=True,
-                    errors="replace",
-                    timeout=CHECK_S,
-                    cwd="/",
-                    env=environment,
-                )
-            except (OSError, subprocess.TimeoutExpired) as error:
+                nice = [*become, "nice", "-n", "10", *command]
+                program_output(*nice, timeout_s=CHECK_S, cwd="/", env=environment)
+            except UpgradeError as error:
                 raise UpgradeError(f"{version} was rejected: {what}: {error}; nothing was changed") from error
-            lines = [line for line in (ran.stdout + ran.stderr).splitlines() if line.strip()]
-            if ran.returncode:
-                said = "; ".join(lines[-3:]) or f"exit code {ran.returncode}"
-                raise UpgradeError(f"{version} was rejected: {what}: {said}; nothing was changed")
             self._say(f"{version} accepts {what} ({time.monotonic() - begun:.0f} s)")
 
     def _as_user(self) -> tuple[list[str], dict[str, str]]:

@@ -55,7 +55,7 @@ def _count(folder: Path) -> None:
 def _outboxes(folder: Path) -> list[bytes]:
     path = folder / "made.sqlite"
     path.unlink(missing_ok=True)
-    with Outbox(path, 10**9, 1e9) as outbox:
+    with contextlib.closing(Outbox(path, 10**9, 1e9)) as outbox:
         outbox.put([OutboxFrame("mast", number, number % 3, "a network", bytes(900)) for number in range(40)])
     with contextlib.closing(sqlite3.connect(path)) as database:
         database.execute("PRAGMA journal_mode = DELETE")
@@ -66,7 +66,7 @@ def _read_outbox(folder: Path) -> None:
     path = folder / "outbox.sqlite"
     for ending in ("-wal", "-shm", "-journal"):
         path.with_name(path.name + ending).unlink(missing_ok=True)
-    with Outbox(path, 10_000, 1e9) as outbox:
+    with contextlib.closing(Outbox(path, 10_000, 1e9)) as outbox:
         outbox.put([OutboxFrame("mast", 10**6, 0, "", b"x")])
         outbox.bound(2 * 10**18)
         found = [key for key, _ in outbox.waiting(20, 0.0)]

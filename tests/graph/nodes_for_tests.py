@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -32,9 +30,6 @@ class Actor(Node):
             raise ConfigError("the DEM moon.tif does not exist")
         if behaviour == "loses_the_stop":
             Slow()
-        if behaviour == "with_child":
-            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
-            print(f"child {child.pid}", flush=True)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         if behaviour == "stubborn":
             signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -14,7 +14,7 @@ from scenes.waiting import wait_for
 from ltm_ros.launching import shared_memory
 from ltm_ros.launching.graph import Graph, NodeSpec
 from ltm_ros.launching.runner import Runner
-from ltm_ros.launching.supervisor import Console, ProcessState, RestartPolicy
+from ltm_ros.launching.supervisor import Console, RestartPolicy
 
 pytestmark = pytest.mark.graph
 
@@ -66,7 +66,7 @@ def test_comes_up_and_stops_in_order(start: Callable[..., Started]) -> None:
     assert len({*pids.values()}) == 3
     graph.runner.stop()
     for label, process in graph.runner.processes.items():
-        assert (process.state, process.starts) == (ProcessState.STOPPED, 1)
+        assert (process.running, process.starts) == (False, 1)
         # Each line bears its node's label.
         hello = f"hello from /ridge/{label} pid {pids[label]}"
         assert f"[{label}] {hello}" in graph.lines
@@ -141,18 +141,18 @@ def test_a_console_that_is_gone_ends_no_graph(start: Callable[..., Started]) -> 
 
     graph = start(spec("depth"), console=gone)
     graph.runner.wait_until_ready(30)
-    graph.runner.kill("north/depth")
+    graph.runner.processes["north/depth"].signal(signal.SIGKILL)
     depth = graph.runner.processes["north/depth"]
     graph.wait_for(lambda: depth.starts == 2 and depth.running, "the node again")
     graph.runner.wait_until_ready(30)
 
 
-def test_a_graph_is_up_without_an_optional_node_that_was_given_up(start: Callable[..., Started]) -> None:
+def test_a_graph_is_up_without_an_optional_node_that_is_failing(start: Callable[..., Started]) -> None:
     """Else a service would never be ready for want of its status page."""
     viewer = replace(spec("viewer", behaviour="config_error"), required=False)
     graph = start(spec("capture"), viewer)
     graph.runner.wait_until_ready(30)
-    graph.wait_for(lambda: graph.runner.given_up == ["north/viewer"], "the verdict")
+    graph.wait_for(lambda: graph.runner.failing == ["north/viewer"], "the verdict")
     graph.runner.wait_until_ready(30)
 
 

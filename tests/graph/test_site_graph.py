@@ -163,7 +163,7 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
             if "recorder" in victims:
                 wait_for_depths("recording_1")
             for victim in victims:
-                assert runner.kill(victim)
+                assert runner.processes[victim].signal(signal.SIGKILL)
             for victim in victims:
                 process = runner.processes[victim]
                 wait_for(lambda p=process, n=starts[victim]: p.starts == n + 1 and p.running, f"{victim} again")
@@ -176,7 +176,7 @@ def test_killed_nodes_come_back_and_the_others_run_on(replayed: Replayed, tmp_pa
         newest = player.now_ns()
         wait_for(lambda: max(bystander.stamps(WORK["cameras"][0]), default=0) > newest, "votes at the very end")
     assert all(pid != before[label] for label, pid in replayed.pids.items())
-    assert runner.given_up == []
+    assert runner.failing == []
     finish_files(runner)
 
     # What was written before a kill is there, ended by the next recorder, and after it a new bag goes on.
@@ -195,7 +195,7 @@ def finish_files(runner: Runner) -> None:
     starts = [process.starts for process in processes]
     for process in processes:
         # One that has come back a moment ago may just be starting.
-        wait_for(lambda p=process: runner.kill(p.label, signal.SIGINT), f"{process.label} to run")
+        wait_for(lambda p=process: p.signal(signal.SIGINT), f"{process.label} to run")
     for process, former in zip(processes, starts, strict=True):
         wait_for(lambda p=process, n=former: p.starts > n and p.running, f"{process.label} again")
 

@@ -1,15 +1,20 @@
 """`ltm reprocess`: whatever works an archive, in whatever parts, its map is that of the serial offline replay."""
 
+import errno
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from mcap.records import Chunk
+from scenes.archive_jobs import deadly_work
+from scenes.own_disk import run_on_own_disk
 from scenes.small_site import BEGIN_NS, FRAMES, NAME, SmallSite
 from typer.testing import CliRunner
 
@@ -28,10 +33,12 @@ from ltm_ros.archive.manifest import ArchiveImageReader
 from ltm_ros.archive.reduction import store_digest
 from ltm_ros.archive.run import ArchiveOptions, Summary, look_through, run
 from ltm_ros.archive.sampling import REPEATED, Sample
-from ltm_ros.archive.task import Engine, FrameSteps, serial, work
+from ltm_ros.archive.task import Engine, FrameSteps, on_workers, serial, work
 from ltm_ros.cli.main import cli
 from ltm_ros.recordings.replay.run import ReplayOptions, run_offline
 from ltm_ros.runtime.topics import IMAGE_COMPRESSED, camera_topic
+
+DISK_PROCESS = Path(__file__).parents[1] / "scenes" / "archive_disk_process.py"
 
 
 def digest_of(store: Path) -> str:
@@ -53,6 +60,14 @@ def reprocessed(options: ArchiveOptions, engine: Engine = serial) -> Summary:
 def expected(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The digest of the offline replay's store."""
     return replayed(small_site.bag, small_site.path, tmp_path_factory.mktemp("replay") / "state")
+
+
+@pytest.fixture(scope="module")
+def done(small_site: SmallSite, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `ltm reprocess` makes of the small site's recording."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    reprocessed(ArchiveOptions((small_site.bag,), small_site.path, out))
+    return out
 
 
 @pytest.fixture
@@ -392,3 +407,48 @@ def test_command_line(small_site: SmallSite, tmp_path: Path, expected: str) -> N
     assert done.exit_code == 0, done.output
     assert "12 frames processed now, 12 in the map, 0 failed" in done.output
     assert expected in done.output.replace("\n", "")
+
+
+@pytest.mark.slow
+def test_a_task_that_kills_its_workers_is_named_and_the_others_end(small_site: SmallSite, tmp_path: Path) -> None:
+    """As a decoder's fault does, or too little memory."""
+    options = ArchiveOptions((small_site.bag,), small_site.path, tmp_path / "out", frames_per_task=3)
+    deadly = look_through(options, lambda done, total: None).tasks[0]
+    with pytest.raises(ArchiveError, match=r"3 of 12 frames failed \(3 task\)"):
+        reprocessed(options, on_workers(2, partial(deadly_work, deadly.key)))
+    record = json.loads((tmp_path / "out/run.json").read_text())
+    assert [failure["place"] for failure in record["failures"]] == [deadly.label]
+    assert "several workers died of it" in record["failures"][0]["why"]
+    assert reprocessed(options).worked == 3
+
+
+def test_a_disk_that_fails_for_a_while_is_no_result(
+    small_site: SmallSite, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a network's file system does: chunks of a recording that cannot be read are not chunks that are broken."""
+
+    def failing(stream: object) -> Chunk:
+        raise OSError(errno.EIO, "Input/output error")
+
+    options = ArchiveOptions((small_site.bag,), small_site.path, tmp_path / "out", max_failed=1.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(Chunk, "read", failing)
+        with pytest.raises(ArchiveError, match=r"cannot be read now: .*Input/output error"):
+            reprocessed(options)
+    planned = look_through(options, lambda done, total: None)
+    with monkeypatch.context() as patched:
+        patched.setattr(Chunk, "read", failing)
+        with pytest.raises(ArchiveError, match="Input/output error"):
+            run(planned, serial, lambda done, total: None)
+    assert reprocessed(options).digest == expected
+
+
+def test_a_disk_that_fills_up_while_a_run_writes_is_named_and_the_run_goes_on_when_there_is_room(
+    small_site: SmallSite, expected: str, tmp_path: Path
+) -> None:
+    (tmp_path / "disk").mkdir()
+    found = run_on_own_disk(DISK_PROCESS, "full", tmp_path / "disk", small_site.folder)
+    assert "No space left on device" in found["said"]
+    assert (found["maps"], found["partial"]) == ([], []), "no map, and no file that is not whole"
+    assert (found["digest"], found["frames"]) == (expected, 2 * FRAMES)
+    assert 0 < found["worked"] < 2 * FRAMES, "what was done before stays done"

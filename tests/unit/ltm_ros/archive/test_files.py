@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ltm_ros.archive.files import files_below, write_result
-from ltm_ros.archive.scan import recordings
+from ltm_ros.archive.scan import files_below, recordings, write_result
 
 
 def test_what_lies_behind_links_belongs_to_an_archive(tmp_path: Path) -> None:

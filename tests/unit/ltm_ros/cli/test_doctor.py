@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from ltm_ros.cli.tower import doctor as command
 from ltm_ros.launching import shared_memory
 from ltm_ros.tower import doctor
-from ltm_ros.tower.health_client import DoctorFinding, DoctorState
+from ltm_ros.tower.doctor import DoctorFinding, DoctorState
 
 
 @pytest.fixture(autouse=True)
@@ -47,17 +47,16 @@ def test_package_absent_or_too_old(monkeypatch: pytest.MonkeyPatch) -> None:
         lambda: {"": [Requirement("numpy>=1.26"), Requirement("rich")], "view": [Requirement("rerun-sdk>=0.28")]},
     )
     findings = list(doctor.check_packages())
-    _, numpy, rich, rerun = findings
+    _, numpy, working, rerun = findings
     assert (numpy.state, numpy.detail, numpy.remedy) == (
         DoctorState.MISSING,
         "1.20.0, needed >=1.26",
         "pip install 'numpy>=1.26'",
     )
-    assert (rich.state, rich.remedy) == (DoctorState.OK, "")
+    assert (working.state, working.detail, working.remedy) == (DoctorState.OK, "rich 15.0", "")
     assert (rerun.area, rerun.state) == ("packages [view]", DoctorState.OPTIONAL)
     assert rerun.remedy == "pip install 'rerun-sdk>=0.28'"
-    assert not doctor.healthy(findings)
-    assert doctor.healthy([rich, rerun])
+    assert [json.loads(doctor.as_json(given))["ok"] for given in (findings, [working, rerun])] == [False, True]
 
 
 def test_requirements_of_an_installed_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

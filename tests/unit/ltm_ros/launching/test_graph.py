@@ -1,9 +1,8 @@
 import runpy
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 import typer
@@ -110,55 +109,24 @@ def test_nodes_of_cameras_share_a_process_where_the_site_says_so() -> None:
 LAUNCH_FILE = Path(__file__).parents[4] / "ltm_ros/launch/site.launch.py"
 
 
-@dataclass
-class Call:
-    args: tuple[Any, ...]
-    options: dict[str, Any]
-
-
-@dataclass
-class Context:
-    values: dict[str, str] = field(default_factory=dict)
-
-
-class Configuration:
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def perform(self, context: Context) -> str:
-        return context.values[self.name]
-
-
-def _recorder(kind: str) -> type:
-    def begin(self: Call, *args: Any, **options: Any) -> None:
-        Call.__init__(self, args, options)
-
-    return type(kind, (Call,), {"__init__": begin})
-
-
 @pytest.fixture
 def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    classes = {
-        "launch": ("LaunchContext", "LaunchDescription"),
-        "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "OpaqueFunction", "Shutdown"),
-        "launch.launch_description_entity": ("LaunchDescriptionEntity",),
-        "launch.substitutions": ("LaunchConfiguration",),
-    }
-    for module_name, names in classes.items():
-        module = ModuleType(module_name)
-        for name in names:
-            setattr(module, name, Configuration if name == "LaunchConfiguration" else _recorder(name))
-        monkeypatch.setitem(sys.modules, module_name, module)
+    """The launch file with classes of `launch` that only keep their arguments."""
+    for name in ("", ".actions", ".launch_description_entity", ".substitutions"):
+        monkeypatch.setitem(sys.modules, f"launch{name}", MagicMock())
     return runpy.run_path(str(LAUNCH_FILE))
 
 
 def command_of(launch_file: dict[str, Any], **given: str) -> list[str]:
     """What launch runs, which is `ltm` with these arguments."""
-    *arguments, opaque = launch_file["generate_launch_description"]().args[0]
-    defaults = {one.args[0]: one.options["default_value"] for one in arguments}
+    defaults = {name: value for name, (value, _) in launch_file["ARGUMENTS"].items()}
     assert [name for name, value in defaults.items() if value is None] == ["site"]
-    (process,) = opaque.options["function"](Context(defaults | given))
-    python, flag, module, *command = process.options["cmd"]
+    values = defaults | given
+    launch_file["LaunchConfiguration"].side_effect = lambda name: MagicMock(perform=lambda _: values[name])
+    launch_file["generate_launch_description"]()
+    (called,) = launch_file["OpaqueFunction"].call_args_list
+    called.kwargs["function"](None)
+    python, flag, module, *command = launch_file["ExecuteProcess"].call_args.kwargs["cmd"]
     assert (python, flag, module) == (sys.executable, "-m", "ltm_ros.cli.main")
     return list(command)
 

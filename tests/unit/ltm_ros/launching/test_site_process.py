@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Header
 
 from ltm_core.base.errors import ConfigError
@@ -14,6 +15,7 @@ from ltm_ros.launching.site_process import LONGEST_PAUSE_S, SiteProcess
 from ltm_ros.runtime.delivery_checks import NUMBER
 from ltm_ros.runtime.handler import Handler, NodeConfig, NodeType, Outlet, Topic
 from ltm_ros.runtime.health import Health
+from ltm_ros.tower.tower_status import TowerWatch
 
 IMAGE = Topic("/axis/image", Header, usual_name="image")
 POSED = Topic("posed/image", Header)
@@ -67,6 +69,13 @@ def test_a_camera_that_cannot_start_is_tried_again_and_leaves_no_node_meanwhile(
     (north,) = process.members
     assert ("capture", "/ridge/east") not in north.get_node_names_and_namespaces()
     assert "/ridge/east: cannot start: moon.tif does not exist" in capsys.readouterr().err
+    (said,) = process._not_started()
+    assert said.name == "/ridge/east/capture"
+    assert said.message == "cannot start: moon.tif does not exist; retrying later"
+    watch = TowerWatch("ridge", ["/ridge/north/capture", said.name], 120.0)
+    watch.hear(said.name, said.level != DiagnosticStatus.OK, said.message, {}, 1.0)
+    east = watch.cameras(1.0, 1.0)[1]
+    assert (east.state, east.wrong) == ("connecting", f"east: capture: {said.message}")
     for rounds, broken, members in ((1, True, 1), (2, True, 1), (3, False, 2)):
         monkeypatch.setattr(Camera, "without_dem", {"east"} if broken else set())
         later = time.monotonic() + rounds * (LONGEST_PAUSE_S + 1)
@@ -74,6 +83,7 @@ def test_a_camera_that_cannot_start_is_tried_again_and_leaves_no_node_meanwhile(
         process._tick()
         assert len(process.members) == members
         assert (("capture", "/ridge/east") in north.get_node_names_and_namespaces()) is not broken
+    assert process._not_started() == []
     assert capsys.readouterr().err.splitlines() == ["/ridge/east: started"], "the same reason is not repeated"
 
 

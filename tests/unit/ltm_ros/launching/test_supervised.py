@@ -1,7 +1,5 @@
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,17 +33,6 @@ if sys.argv[1] == "stands_still" and not well_now:
 while True:
     time.sleep(0.1)
 """
-PARENT = """
-import os, select, sys, threading
-from ltm_ros.launching.supervised import start_supervised, supervised_command
-for behaviour in sys.argv[2:]:
-    command = supervised_command("actor", behaviour, f"{sys.argv[1]}/{behaviour}_once")
-    process, heard = start_supervised(command, dict(os.environ))
-    threading.Thread(target=lambda out=process.stdout: [print(line, end="", flush=True) for line in out]).start()
-    while behaviour == "holds_the_lock" and select.select([heard], [], [], 3.0)[0]:
-        os.read(heard, 4096)
-    print(behaviour, "seen", flush=True)
-"""
 
 
 @pytest.fixture
@@ -56,44 +43,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", ""), str(Path.cwd())])
     )
     return tmp_path
-
-
-def start_and_kill_parent(folder: Path, *behaviours: str, stop: str = "") -> list[int]:
-    """The actors' process ids; the parent has been killed, and the actor `stop` stopped before."""
-    parent = subprocess.Popen(
-        [sys.executable, "-c", PARENT, str(folder), *behaviours], stdout=subprocess.PIPE, text=True
-    )
-    assert parent.stdout is not None
-    pids: dict[str, int] = {}
-    seen: set[str] = set()
-    while len(pids) < len(behaviours) or len(seen) < len(behaviours):
-        behaviour, word = parent.stdout.readline().split()
-        if word == "seen":
-            seen.add(behaviour)
-        else:
-            pids[behaviour] = int(word)
-    if stop:
-        os.kill(pids[stop], signal.SIGSTOP)
-    parent.kill()
-    parent.wait()
-    parent.stdout.close()
-    return list(pids.values())
-
-
-def alive(pids: list[int]) -> list[int]:
-    return [pid for pid in pids if Path(f"/proc/{pid}/stat").exists() and state_of(pid) != "Z"]
-
-
-def state_of(pid: int) -> str:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return "Z"
-
-
-def test_no_process_outlives_a_killed_runner(folder: Path) -> None:
-    pids = start_and_kill_parent(folder, "well", "stopped", stop="stopped")
-    wait_for(lambda: not alive(pids), "the end of all", lambda: alive(pids))
 
 
 class Watched:

@@ -3,10 +3,10 @@ import json
 import pytest
 
 from ltm_core.site.sections import WatchdogConfig
-from ltm_ros.launching.watchdog import HangWatch, ProcessUse
+from ltm_ros.launching.watchdog import HangWatch
 
 LIMITS = WatchdogConfig(silent=20.0, stuck=60.0, slow=300.0)
-IDLE = ProcessUse("S", 0.0)
+IDLE = "S", 0.0
 WELL: list[tuple[float, bool, str]] = [(0.0, False, "executor: callback")]
 
 
@@ -20,7 +20,7 @@ class Watched:
     def __init__(self, slow_starts: int = 0) -> None:
         self.watch = HangWatch(LIMITS, slow_starts)
 
-    def hang(self, seconds: int, heard: bytes = b"", use: ProcessUse = IDLE) -> tuple[int, str]:
+    def hang(self, seconds: int, heard: bytes = b"", use: tuple[str, float] = IDLE) -> tuple[int, str]:
         """After how many seconds it was taken for hung, and why; `seconds` and nothing where it was not."""
         for second in range(1, seconds + 1):
             if found := self.watch.look(1.0, heard, use):
@@ -33,7 +33,7 @@ def test_a_silent_process_hangs_and_one_that_is_stopped_is_said_to_be() -> None:
     assert watched.hang(1000, beat(WELL)) == (1000, "")
     assert watched.hang(1000) == (21, "no heartbeat for 21 s")
     watched.watch.look(1.0, beat(WELL), IDLE)
-    assert watched.hang(1000, use=ProcessUse("T", 0.0))[1].endswith("it is stopped (SIGSTOP)")
+    assert watched.hang(1000, use=("T", 0.0))[1].endswith("it is stopped (SIGSTOP)")
 
 
 @pytest.mark.parametrize("state", ["R", "D"])
@@ -41,7 +41,7 @@ def test_what_waits_for_a_core_or_a_disk_has_as_long_as_a_message(state: str) ->
     """A machine that is busy, or whose disk stands still for a while, is not helped by another start."""
     watched = Watched()
     watched.watch.look(1.0, beat(WELL), IDLE)
-    assert watched.hang(1000, use=ProcessUse(state, 0.0)) == (
+    assert watched.hang(1000, use=(state, 0.0)) == (
         61,
         "no heartbeat for 61 s, although it is computing or waiting for a core",
     )

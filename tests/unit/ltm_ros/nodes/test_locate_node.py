@@ -269,8 +269,6 @@ def test_a_calibration_that_no_picture_may_have_is_not_taken(tmp_path: Path) -> 
 
 
 def test_the_node_is_there_where_the_site_asks_for_it(tmp_path: Path) -> None:
-    from ltm_core.site.site_io import load_site
-
     path = write_site(tmp_path)
     assert "locate" not in [node.label for node in describe(load_site(path), path)]
     with pytest.raises(ConfigError, match="no section `locating`"):

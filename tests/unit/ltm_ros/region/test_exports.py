@@ -31,7 +31,7 @@ def test_the_map_is_exported_when_it_has_changed(tmp_path: Path) -> None:
     for number in range(4):
         aggregator.take("alta", scene.sealed("alta", number))
     aggregator.settle()
-    exports.look(60.0, changed=bool(aggregator.show()))
+    exports.look(60.0, changed=bool(aggregator.persistence.show()))
     wait_for(lambda: exported(2), "the second", lambda: health.last_error)
     exports.look(64.0, changed=True)
     exports.close()

@@ -12,14 +12,13 @@ import pytest
 from scenes.waiting import wait_for
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.base.types import RgbImage
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.runtime.web_server import WebResponse, WebServer
 from ltm_ros.tower.health_client import RejectedError, TowerPort
 from ltm_ros.tower.last_pictures import CameraPicture
-from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, TILE, LiveStream
+from ltm_ros.tower.live_stream import FIRST_LINE, KINDS, LiveStream
 from ltm_ros.tower.tower_mirror import StreamError, TowerMirror, _records, reached
 
 LABELS = LabelSet.load()
@@ -41,7 +40,7 @@ class Scene:
 
     def __init__(self, *cameras: str) -> None:
         self.frames = {camera: picture(camera, 1) for camera in cameras}
-        self.map: RgbImage | None = None
+        self.map: bytes | None = None
 
     def shown(self, camera: str) -> CameraPicture | None:
         return self.frames.get(camera)
@@ -49,7 +48,7 @@ class Scene:
     def stamps_s(self) -> dict[str, float]:
         return {name: frame.stamp_ns / 1e9 for name, frame in self.frames.items()}
 
-    def map_image(self) -> RgbImage | None:
+    def map_png(self) -> bytes | None:
         return self.map
 
     def jpegs(self, picture: CameraPicture, width: int) -> list[bytes]:
@@ -59,30 +58,34 @@ class Scene:
         return {"site": "ridge", "pictures": self.stamps_s()}
 
 
-def test_every_camera_and_each_tile_is_sent_once_until_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_camera_and_the_map_are_sent_once_until_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ltm_ros.tower.live_stream.PAGE_S", 1e9)  # one page, however slow the machine is
-    scene = Scene("north", "east")
-    scene.map = np.zeros((TILE + 10, 2 * TILE, 3), np.uint8)
+    monkeypatch.setattr("ltm_ros.tower.live_stream.MAP_S", 0.0)
+    scene: Any = Scene("north", "east")
+    scene.map = b"a map"
     records = LiveStream(scene.page, scene, pytest.fail, rate=1e9)._records()
     assert next(records) == FIRST_LINE
 
     def take(count: int) -> list[tuple[Any, bytes]]:
         return list(_records(BytesIO(FIRST_LINE + b"".join(next(records) for _ in range(count)))))
 
-    first = take(7)
-    assert [record.kind for record, _ in first] == ["page", "frame", "frame", "tile", "tile", "tile", "tile"]
+    first = take(4)
+    assert [record.kind for record, _ in first] == ["page", "frame", "map", "frame"]
+    assert first[2][1] == b"a map"
     assert {record.camera for record, _ in first if record.kind == "frame"} == {"north", "east"}
     assert json.loads(zlib.decompress(first[0][1]))["site"] == "ridge"
     scene.frames["east"] = picture("east", 2)
     ((record, content),) = take(1)
     assert (record.camera, record.stamp_s) == ("east", 2.0)
     assert content[: record.sizes[0]].startswith(b"\xff\xd8"), "the photo is first"
+    scene.map = b"another"
+    assert [(record.kind, content) for record, content in take(1)] == [("map", b"another")]
 
 
 @pytest.fixture
 def tower() -> Iterator[tuple[Scene, WebServer]]:
-    scene = Scene("north")
-    scene.map = np.random.default_rng(3).integers(0, 255, (200, 300, 3), np.uint8)
+    scene: Any = Scene("north")
+    scene.map = b"a map"
     live = LiveStream(scene.page, scene, pytest.fail, rate=1e6)
     routes = {
         "GET /live": lambda _: WebResponse(b"", "application/octet-stream", stream=live.stream()),
@@ -114,12 +117,8 @@ def test_the_page_of_a_tower_is_served_here_and_follows_it(tower: tuple[Scene, W
         for kind in KINDS:
             assert get(f"/picture/north/{kind}.jpg").startswith(b"\xff\xd8")
 
-        def drawn() -> bool:
-            found = cv2.imdecode(np.frombuffer(get("/map.png"), np.uint8), cv2.IMREAD_COLOR)
-            return scene.map is not None and np.array_equal(found[..., ::-1], scene.map)
-
-        wait_for(lambda: mirror._map is not None, "a tile")
-        wait_for(drawn, "the whole map, as it is")
+        wait_for(lambda: "GET /map.png" in mirror._routes, "the map")
+        assert get("/map.png") == b"a map"
         scene.frames["north"] = picture("north", 7)
         wait_for(lambda: mirror.stamps_s() == {"north": 7.0}, "the next frame")
 
@@ -148,12 +147,11 @@ def test_a_tower_that_is_lost_is_stated_and_found_again(tower: tuple[Scene, WebS
 @pytest.mark.parametrize(
     "content",
     [
-        b"ltm live 2\n",
+        b"ltm live 1\n",
         FIRST_LINE + b"no JSON\n",
         FIRST_LINE + b'{"kind": "page", "bytes": 99999999999}\n',
         FIRST_LINE + b'{"kind": "frame", "bytes": 0, "camera": "../../etc"}\n',
-        FIRST_LINE + b'{"kind": "tile", "bytes": 0, "x": 1}\n',
-        FIRST_LINE + b'{"kind": "tile", "bytes": 0, "x": 0, "y": 0, "width": 1000000, "height": 1}\n',
+        FIRST_LINE + b'{"kind": "tile", "bytes": 0}\n',
         FIRST_LINE + b"{" * 5000,
     ],
 )

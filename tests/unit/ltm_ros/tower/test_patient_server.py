@@ -26,7 +26,7 @@ def test_it_answers_once_the_port_is_free(monkeypatch: pytest.MonkeyPatch) -> No
     health, told, warned = Health(), list[str](), list[str]()
     with socket.create_server(("127.0.0.1", port := free_port())):
         server = PatientServer(HealthConfig(port=port), ROUTES, health, told.append, warned.append, retry_s=0.01)
-        assert server.url is None
+        assert server.server is None
         assert health.troubled
         assert f"port: 127.0.0.1:{port} cannot be opened (Address already in use)" in health.last_error
         assert (
@@ -38,7 +38,7 @@ def test_it_answers_once_the_port_is_free(monkeypatch: pytest.MonkeyPatch) -> No
         monkeypatch.setattr(health, "_last_trouble", -float("inf"))
         wait_for(lambda: health.troubled, "another attempt")
         assert told == []
-    wait_for(lambda: server.url is not None, "the port")
+    wait_for(lambda: server.server is not None, "the port")
     wait_for(lambda: told == [f"health port: http://127.0.0.1:{port}"], "the word of it", lambda: told)
     assert answers(port)
     assert len(warned) == 1
@@ -52,10 +52,10 @@ def test_a_token_that_is_corrected_needs_no_restart(tmp_path: Path) -> None:
     health, token = Health(), tmp_path / "token"
     config = HealthConfig(port=free_port(), token=token)
     server = PatientServer(config, ROUTES, health, lambda _: None, lambda _: None, retry_s=0.01)
-    assert server.url is None
+    assert server.server is None
     assert str(token) in health.last_error
     token.write_text("0123456789abcdef")
-    wait_for(lambda: server.url is not None, "the port")
+    wait_for(lambda: server.server is not None, "the port")
     server.close()
 
 
@@ -65,6 +65,6 @@ def test_an_address_that_the_machine_does_not_have_yet(tmp_path: Path) -> None:
     (tmp_path / "token").write_text("0123456789abcdef")
     config = HealthConfig(port=free_port(), token=tmp_path / "token").model_copy(update={"address": "192.0.2.1"})
     server = PatientServer(config, ROUTES, health, pytest.fail, lambda _: None)
-    assert server.url is None
+    assert server.server is None
     assert "this machine has no such address now" in health.last_error
     server.close()

@@ -9,8 +9,8 @@ from scenes.small_site import NAME, write_small_site
 
 from ltm_core.site.sections import HealthConfig
 from ltm_ros.runtime.web_server import WebResponse
-from ltm_ros.tower import health_client as port_check
-from ltm_ros.tower.health_client import DoctorState, open_health_server
+from ltm_ros.tower.doctor import DoctorState, check_tower
+from ltm_ros.tower.health_client import open_health_server
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_who_has_the_port_of_health(port_site: tuple[Path, HealthConfig], answer
     site, config = port_site
     page = WebResponse(b"<html>") if answer is None else WebResponse.json(answer)
     with closing(open_health_server(config, {"GET /status.json": lambda _: page})):
-        (port,) = port_check.check_health_port(site)
+        (port,) = check_tower(site)
     assert said in port.detail
     if not said:
         assert (port.state, port.remedy) == (DoctorState.OK, "")
@@ -43,3 +43,9 @@ def test_who_has_the_port_of_health(port_site: tuple[Path, HealthConfig], answer
     assert port.state is DoctorState.WARNING
     assert f"127.0.0.1:{config.port} cannot be opened (Address already in use)" in port.remedy
     assert f"of {site}; the tower runs without it, and retries" in port.remedy
+
+
+def test_a_site_file_that_cannot_be_read_is_missing(tmp_path: Path) -> None:
+    (found,) = check_tower(tmp_path / "none.yaml")
+    assert (found.name, found.state) == ("site file", DoctorState.MISSING)
+    assert "none.yaml" in found.detail

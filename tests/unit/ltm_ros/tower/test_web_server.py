@@ -48,18 +48,14 @@ def get(
     address: str = "127.0.0.1",
     body: bytes | None = None,
 ) -> tuple[int, bytes]:
-    with closing(http.client.HTTPConnection(address, port_of(server), timeout=10)) as connection:
+    with closing(http.client.HTTPConnection(address, server.port, timeout=10)) as connection:
         connection.request(method, path, body, headers or {})
         answer = connection.getresponse()
         return answer.status, answer.read()
 
 
-def port_of(server: WebServer) -> int:
-    return server.port
-
-
 def config_for(server: WebServer, **keys: object) -> HealthConfig:
-    return HealthConfig.model_validate({"port": port_of(server)} | keys)
+    return HealthConfig.model_validate({"port": server.port} | keys)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +94,7 @@ def test_a_page_of_another_name_that_leads_here_is_not_answered(start: Start) ->
     assert get(server, "/healthz", {"Host": "evil.example"})[0] == 421
     for wrong in ("", "[::1", "127.0.0.1.evil.example", "evil.example:127"):
         assert get(server, "/healthz", {"Host": wrong})[0] == 421
-    for right in ("localhost", f"localhost:{port_of(server)}", f"LocalHost:{port_of(server)}", "127.0.0.1"):
+    for right in ("localhost", f"localhost:{server.port}", f"LocalHost:{server.port}", "127.0.0.1"):
         assert get(server, "/healthz", {"Host": right})[0] == 200
 
 
@@ -107,7 +103,7 @@ def test_answers_on_loopback_of_the_next_protocol(start: Start) -> None:
     if not addresses.exists() or not addresses.read_text():
         pytest.skip("no IPv6 on this machine")
     server = start(address="0:0:0:0:0:0:0:1")
-    for host in ("[::1]", f"[::1]:{port_of(server)}", "localhost"):
+    for host in ("[::1]", f"[::1]:{server.port}", "localhost"):
         assert get(server, "/healthz", {"Host": host}, address="::1") == (200, b"alive\n")
     assert get(server, "/healthz", {"Host": "[::2]"}, address="::1")[0] == 421
     assert ask(config_for(server, address="::1"), "/status.json") == {"ready": True}
@@ -129,7 +125,7 @@ def test_tls(start: Start, certificate: tuple[Path, Path], token: Path) -> None:
         get(server, "/healthz")  # in clear text
     keys = {"certificate": certificate[0], "key": certificate[1], "token": token}
     assert ask(config_for(server, **keys), "/status.json") == {"ready": True}
-    with socket.create_connection(("127.0.0.1", port_of(server)), timeout=10) as plain:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as plain:
         old = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         old.check_hostname, old.verify_mode = False, ssl.CERT_NONE
         with pytest.warns(DeprecationWarning, match="TLS"):
@@ -140,10 +136,10 @@ def test_tls(start: Start, certificate: tuple[Path, Path], token: Path) -> None:
 
 def test_who_holds_all_connections_is_let_go_of_and_others_are_answered_again(start: Start) -> None:
     server = start()
-    idle = [socket.create_connection(("127.0.0.1", port_of(server)), timeout=10) for _ in range(CONNECTIONS)]
+    idle = [socket.create_connection(("127.0.0.1", server.port), timeout=10) for _ in range(CONNECTIONS)]
     for one in idle:
         one.sendall(b"GET /healthz HTTP/1.0\r\n")  # and never the rest
-    with socket.create_connection(("127.0.0.1", port_of(server)), timeout=10) as late:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as late:
         late.sendall(b"GET /healthz HTTP/1.0\r\n\r\n")
         with suppress(ConnectionResetError):
             assert late.recv(100) == b"", "closed at once, no thread waits for it"
@@ -168,7 +164,7 @@ def test_who_drips_is_let_go_of_though_something_always_comes(
     monkeypatch.setitem(WebServer.__init__.__kwdefaults__, "request_s", 1.0)
     keys = {"certificate": str(certificate[0]), "key": str(certificate[1]), "token": str(token)} if secured else {}
     server = start(**keys)
-    with socket.create_connection(("127.0.0.1", port_of(server)), timeout=10) as plain:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as plain:
         context = ssl.create_default_context(cafile=certificate[0])
         # By TLS it needs no token for that.
         dripping = context.wrap_socket(plain, server_hostname="127.0.0.1") if secured else plain
