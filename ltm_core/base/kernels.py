@@ -12,7 +12,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba import config, njit, types
-from numba.core import caching, cgutils
+from numba.core import caching, cgutils, entrypoints
+from numba.core.runtime import rtsys
 from numba.extending import intrinsic
 
 from ltm_core.base.numba_cache import kernel_level, use_own_cache
@@ -35,10 +36,11 @@ def use_cache(source: Path) -> None:
 
 caching.CompileResultCacheImpl._locator_classes = [_ByModule, *caching.CacheImpl._locator_classes]
 use_cache(Path(__file__).parents[1])
+entrypoints._already_initialized = True  # else it searches all installed packages for extensions of numba
 
 
-def _without_linear_algebra() -> None:
-    """Load numba's array functions without SciPy's linear algebra (0.4 s): no kernel multiplies matrices."""
+def _ready_to_compile(target: Any) -> None:
+    """Load what numba compiles with, but not SciPy's linear algebra (0.4 s): no kernel multiplies matrices."""
     blas = "scipy.linalg.cython_blas"
     if blas not in sys.modules:
         sys.modules[blas] = None  # type: ignore[assignment]
@@ -46,16 +48,34 @@ def _without_linear_algebra() -> None:
             import numba.np.arraymath  # noqa: F401
         finally:
             del sys.modules[blas]
+    target.refresh()
 
 
-_without_linear_algebra()
+class _Cache(caching.FunctionCache):  # type: ignore[misc]
+    """Numba's cache, which loads a compiled function without all that numba compiles with (0.4 s)."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled function of a signature, or None."""
+        rtsys.initialize(target_context)
+        loaded = self._load_overload(sig, target_context)
+        if loaded is None:
+            _ready_to_compile(target_context)
+        return loaded
+
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 
 
 def kernel(**options: Any) -> _Decorator:
     """Return a decorator for a kernel that Python calls; `options` of `numba.njit`."""
-    decorator: _Decorator = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    compiled: _Decorator = njit(error_model="numpy", no_cfunc_wrapper=True, **options)
+
+    def decorator(function: Callable[..., Any]) -> Any:
+        dispatcher = compiled(function)
+        if not config.DISABLE_JIT:
+            dispatcher._cache = _Cache(function)
+        return dispatcher
+
     return decorator
 
 

@@ -14,9 +14,7 @@ from ltm_core.pictures.trace import coverage_picture, depth_picture, map_picture
 from ltm_core.storage.disk_io import require_files
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
-from ltm_core.visibility.viewshed import viewshed as covered
 from ltm_ros.cli.output import Crs, Dems, OptionalDems, Overwrite, open_dems, print_table, say, warn, working
-from ltm_ros.cli.scene import open_scene
 
 OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.tif", "depth.png", "map.png")
 
@@ -97,6 +95,9 @@ def viewshed(
     overwrite: Overwrite = False,
 ) -> None:
     """Map what cameras cover: number of cameras, pixel footprint, and height at which smoke becomes visible."""
+    from ltm_core.visibility.viewshed import viewshed as covered  # here, because `ltm trace` needs none of them
+    from ltm_ros.cli.scene import open_scene
+
     picture = out.with_suffix(".png") if picture is None else picture
     require_files((out, picture), overwrite)
     if (site is None) == (pose is None):
