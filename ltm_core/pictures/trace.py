@@ -11,12 +11,13 @@ import numpy as np
 
 from ltm_core.base.number_text import percent
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RgbImage, UInt32Array
-from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.camera import Camera, strips
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
 from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend, with_legend
+from ltm_core.pictures.fuel_maps import FuelCanvas
 from ltm_core.pictures.legend import UNKNOWN_COLOR, UNLABELLED, Palette, draw_texts
 from ltm_core.pictures.maps import interesting_bounds, padded
 from ltm_core.pictures.photo_overlays import panel
@@ -138,13 +139,14 @@ def map_picture(
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     """Return the traced terrain (H, W, 3) as a camera would see it, grey under the relief's lights and a plain sky."""
     fade = np.linspace(0, 1, len(traced.range))[:, None, None]
-    picture = np.tile((1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (1, traced.range.shape[1], 1))
+    picture = np.empty((*traced.range.shape, 3), np.uint8)
+    picture[...] = (1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON)
     picture[np.isnan(traced.range)] = UNKNOWN_COLOR
-    known = np.isfinite(traced.range)
-    points = traced.points()[known]
-    light = brightness_at(dem, points[:, 0], points[:, 1])
-    picture[known] = (35 + 250 * np.nan_to_num(light, nan=0.7))[:, None]
-    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+    for rows in strips(len(picture)):
+        known = np.isfinite(traced.range[rows])
+        light = brightness_at(dem, *traced.points()[rows][known].T[:2])
+        picture[rows][known] = np.clip(35 + 250 * np.nan_to_num(light, nan=0.7), 0, 255)[:, None]
+    return picture
 
 
 def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
@@ -186,8 +188,6 @@ def coverage_picture(
     coverage: "Coverage", dem: Dem, views: "Sequence[PosedCamera]", title: str, frame: SiteFrame
 ) -> RgbImage:
     """Return the number of cameras that see each cell over shaded relief, (H, W, 3). `dem`: in its frame."""
-    from ltm_core.pictures.fuel_maps import FuelCanvas
-
     classes = np.clip(coverage.count, 0, len(_COUNTS.names) - 1).astype(np.uint8)
     classes[coverage.count < 0] = UNLABELLED
     g = coverage.geometry
@@ -216,7 +216,6 @@ def site_picture(
     `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to vote; a
     camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
     from ltm_core.fuel.life_form import NODATA
-    from ltm_core.pictures.fuel_maps import FuelCanvas
 
     corners = dem.geometry.bounds
     bounds = padded(np.array([corners[:2], corners[2:], *(camera.position for camera in cameras)]), 0.02)
