@@ -168,7 +168,8 @@ def _write_image_raster(path: Path, bands: dict[str, NDArray[np.generic]], tags:
     height, width = first.shape
     profile = {"driver": "GTiff", "width": width, "height": height, "count": len(bands), "dtype": first.dtype}
     # Level 1 takes a third of the time, for a few percent more bytes.
-    profile |= {"nodata": np.nan, "compress": "deflate", "zlevel": 1, "predictor": 3, "interleave": "band", "blockysize": 16}
+    profile |= {"nodata": np.nan, "compress": "deflate", "zlevel": 1, "predictor": 3}
+    profile |= {"interleave": "band", "blockysize": 16}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # it lies in image space
         with rasterio.open(path, "w", **profile) as sink:
