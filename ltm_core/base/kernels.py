@@ -39,43 +39,29 @@ use_cache(Path(__file__).parents[1])
 entrypoints._already_initialized = True  # else it searches all installed packages for extensions of numba
 
 
-def _ready_to_compile(target: Any) -> None:
-    """Load what numba compiles with, but not SciPy's linear algebra (0.4 s): no kernel multiplies matrices."""
+def _load_overload(cache: Any, signature: Any, target: Any) -> Any:
+    """Load a compiled function; only if there is none, load all that numba compiles with (0.4 s), without SciPy's
+    linear algebra (0.4 s): no kernel multiplies matrices."""
+    rtsys.initialize(target)
+    loaded = cache._load_overload(signature, target)
     blas = "scipy.linalg.cython_blas"
-    if blas not in sys.modules:
+    if loaded is None and blas not in sys.modules:
         sys.modules[blas] = None  # type: ignore[assignment]
         try:
             import numba.np.arraymath  # noqa: F401
         finally:
             del sys.modules[blas]
-    target.refresh()
+    return loaded
 
 
-class _Cache(caching.FunctionCache):  # type: ignore[misc]
-    """Numba's cache, which loads a compiled function without all that numba compiles with (0.4 s)."""
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled function of a signature, or None."""
-        rtsys.initialize(target_context)
-        loaded = self._load_overload(sig, target_context)
-        if loaded is None:
-            _ready_to_compile(target_context)
-        return loaded
-
+caching.FunctionCache.load_overload = _load_overload
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 
 
 def kernel(**options: Any) -> _Decorator:
     """Return a decorator for a kernel that Python calls; `options` of `numba.njit`."""
-    compiled: _Decorator = njit(error_model="numpy", no_cfunc_wrapper=True, **options)
-
-    def decorator(function: Callable[..., Any]) -> Any:
-        dispatcher = compiled(function)
-        if not config.DISABLE_JIT:
-            dispatcher._cache = _Cache(function)
-        return dispatcher
-
+    decorator: _Decorator = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)
     return decorator
 
 
