@@ -11,6 +11,7 @@ import numpy as np
 
 from ltm_core.base.number_text import percent
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RgbImage, UInt32Array
+from ltm_core.fuel.life_form import NODATA
 from ltm_core.geometry.camera import Camera, strips
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
@@ -215,8 +216,6 @@ def site_picture(
     """Draw the views of cameras over relief and beside it the prior fuel map, if there is one, (H, W, 3). `dem`,
     `seen`, `prior.geometry`: in the map frame. `seen`: what the views show at any distance, and near enough to vote; a
     camera that turns has several views; None: no view is known. `offset`: of the map frame in its CRS."""
-    from ltm_core.fuel.life_form import NODATA
-
     corners = dem.geometry.bounds
     bounds = padded(np.array([corners[:2], corners[2:], *(camera.position for camera in cameras)]), 0.02)
     reach = 0.14 * (bounds[2] - bounds[0])
