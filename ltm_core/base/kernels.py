@@ -12,7 +12,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba import config, njit, types
-from numba.core import caching, cgutils
+from numba.core import caching, cgutils, entrypoints
+from numba.core.runtime import rtsys
 from numba.extending import intrinsic
 
 from ltm_core.base.numba_cache import kernel_level, use_own_cache
@@ -35,20 +36,25 @@ def use_cache(source: Path) -> None:
 
 caching.CompileResultCacheImpl._locator_classes = [_ByModule, *caching.CacheImpl._locator_classes]
 use_cache(Path(__file__).parents[1])
+entrypoints._already_initialized = True  # else it searches all installed packages for extensions of numba
 
 
-def _without_linear_algebra() -> None:
-    """Load numba's array functions without SciPy's linear algebra (0.4 s): no kernel multiplies matrices."""
+def _load_overload(cache: Any, signature: Any, target: Any) -> Any:
+    """Load a compiled function; only if there is none, load all that numba compiles with (0.4 s), without SciPy's
+    linear algebra (0.4 s): no kernel multiplies matrices."""
+    rtsys.initialize(target)
+    loaded = cache._load_overload(signature, target)
     blas = "scipy.linalg.cython_blas"
-    if blas not in sys.modules:
+    if loaded is None and blas not in sys.modules:
         sys.modules[blas] = None  # type: ignore[assignment]
         try:
             import numba.np.arraymath  # noqa: F401
         finally:
             del sys.modules[blas]
+    return loaded
 
 
-_without_linear_algebra()
+caching.FunctionCache.load_overload = _load_overload
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, Int32Array
-from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.camera import Camera, strips
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 
@@ -52,11 +52,13 @@ class RangeImage:
 
     def horizontal(self) -> Float32Array:
         """Return the horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
-        up = self.camera.rays() @ self.pose.rotation[2]
-        cosine = np.sqrt(np.maximum(0.0, 1.0 - up * up))
-        with np.errstate(invalid="ignore"):
-            horizontal = (self.range * cosine).astype(np.float32)
-        return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
+        horizontal = np.empty(self.range.shape, np.float32)
+        for rows in strips(len(horizontal)):
+            up = self.camera.rays()[rows] @ self.pose.rotation[2]
+            with np.errstate(invalid="ignore"):
+                horizontal[rows] = self.range[rows] * np.sqrt(np.maximum(0.0, 1.0 - up * up))
+        horizontal[np.isinf(self.range)] = np.inf
+        return horizontal
 
     def points(self) -> Float32Array:
         """Return the map coordinates of what each pixel sees, (H, W, 3) metres, read-only; NaN where the range is not
@@ -65,13 +67,13 @@ class RangeImage:
 
     @cached_property
     def _points(self) -> Float32Array:
-        directions = self.camera.rays() @ self.pose.rotation.T
-        slant = np.where(np.isfinite(self.range), self.range, np.nan).astype(np.float64)
-        points = directions * slant[..., None]
-        if self.bend:
-            points[..., 2] += self.bend * (points[..., 0] ** 2 + points[..., 1] ** 2)
-        points += self.pose.position
-        found = points.astype(np.float32)
+        found = np.empty((*self.range.shape, 3), np.float32)
+        for rows in strips(len(found)):
+            slant = np.where(np.isfinite(self.range[rows]), self.range[rows], np.nan).astype(np.float64)
+            points = (self.camera.rays()[rows] @ self.pose.rotation.T) * slant[..., None]
+            if self.bend:
+                points[..., 2] += self.bend * (points[..., 0] ** 2 + points[..., 1] ** 2)
+            found[rows] = points + self.pose.position
         found.flags.writeable = False
         return found
 
@@ -80,12 +82,13 @@ class RangeImage:
         img-DEM."""
         if self.geometry is None:
             raise ImageError("this range image has no raster, so it has no cells")
-        points = self.points()
-        seen = np.isfinite(points[..., 0])
-        row, col = self.geometry.cell_of(np.where(seen, points[..., 0], 0), np.where(seen, points[..., 1], 0))
-        seen &= self.geometry.contains(row, col)
-        cells = np.stack([row, col], axis=-1).astype(np.int32)
-        cells[~seen] = -1
+        cells = np.empty((*self.range.shape, 2), np.int32)
+        for rows in strips(len(cells)):
+            x, y, _ = np.moveaxis(self.points()[rows], -1, 0)
+            seen = np.isfinite(x)
+            row, col = self.geometry.cell_of(np.where(seen, x, 0), np.where(seen, y, 0))
+            seen &= self.geometry.contains(row, col)
+            cells[rows] = np.where(seen, (row, col), -1).transpose(1, 2, 0)
         return cells
 
 

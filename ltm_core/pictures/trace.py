@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -11,8 +12,7 @@ import numpy as np
 from ltm_core.base.number_text import percent
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RgbImage, UInt32Array
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.fuel.prior import FuelPrior
-from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.camera import Camera, strips
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -23,17 +23,20 @@ from ltm_core.pictures.legend import UNKNOWN_COLOR, UNLABELLED, Palette, draw_te
 from ltm_core.pictures.maps import interesting_bounds, padded
 from ltm_core.pictures.photo_overlays import panel
 from ltm_core.pictures.relief import brightness_at
-from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
-from ltm_core.visibility.viewshed import Coverage, PosedCamera
+
+if TYPE_CHECKING:  # a fifth of a second to load, which `ltm trace` does not need
+    from ltm_core.fuel.prior import FuelPrior
+    from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
+    from ltm_core.visibility.viewshed import Coverage, PosedCamera
 
 _HORIZON, _OPEN, _RIDGE, _HALO = (255, 230, 60), (255, 150, 40), (80, 230, 255), (20, 20, 20)
 _WIDEST = 1600
 
 
 def pose_fit_picture(
-    photo: RgbImage, camera: Camera, horizon: TerrainHorizon, poses: list[tuple[str, Camera, Pose]]
+    photo: RgbImage, camera: Camera, horizon: "TerrainHorizon", poses: list[tuple[str, Camera, Pose]]
 ) -> RgbImage:
     """Return the photo (H, W, 3) of `camera` once for each (title, camera, pose), one under the other, with the
     terrain's horizon (orange where land beyond the DEM may stand over it) and ridges drawn in."""
@@ -137,13 +140,14 @@ def map_picture(
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     """Return the traced terrain (H, W, 3) as a camera would see it, grey under the relief's lights and a plain sky."""
     fade = np.linspace(0, 1, len(traced.range))[:, None, None]
-    picture = np.tile((1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON), (1, traced.range.shape[1], 1))
+    picture = np.empty((*traced.range.shape, 3), np.uint8)
+    picture[...] = (1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON)
     picture[np.isnan(traced.range)] = UNKNOWN_COLOR
-    known = np.isfinite(traced.range)
-    points = traced.points()[known]
-    light = brightness_at(dem, points[:, 0], points[:, 1])
-    picture[known] = (35 + 250 * np.nan_to_num(light, nan=0.7))[:, None]
-    return np.asarray(np.clip(picture, 0, 255), np.uint8)
+    for rows in strips(len(picture)):
+        known = np.isfinite(traced.range[rows])
+        light = brightness_at(dem, *traced.points()[rows][known].T[:2])
+        picture[rows][known] = np.clip(35 + 250 * np.nan_to_num(light, nan=0.7), 0, 255)[:, None]
+    return picture
 
 
 def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:
@@ -170,7 +174,7 @@ _COVERED = ((140, 146, 158), (255, 236, 170), (253, 180, 80), (226, 96, 50), (13
 _COUNTS = Palette(("not seen", "seen by 1 camera", "by 2 cameras", "by 3 cameras", "by 4 or more"), _COVERED)
 
 
-def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> None:
+def write_coverage(path: Path | str, coverage: "Coverage", frame: SiteFrame) -> None:
     """Write the three bands of BANDS as float32 in the frame's CRS, NaN where there is no value."""
     import rasterio
 
@@ -182,7 +186,7 @@ def write_coverage(path: Path | str, coverage: Coverage, frame: SiteFrame) -> No
 
 
 def coverage_picture(
-    coverage: Coverage, dem: Dem, views: Sequence[PosedCamera], title: str, frame: SiteFrame
+    coverage: "Coverage", dem: Dem, views: "Sequence[PosedCamera]", title: str, frame: SiteFrame
 ) -> RgbImage:
     """Return the number of cameras that see each cell over shaded relief, (H, W, 3). `dem`: in its frame."""
     classes = np.clip(coverage.count, 0, len(_COUNTS.names) - 1).astype(np.uint8)
@@ -195,7 +199,7 @@ def coverage_picture(
     return panel([(title, picture)], 1, picture.shape[1])
 
 
-def map_camera(view: PosedCamera, reach: float = 3000.0) -> MapCamera:
+def map_camera(view: "PosedCamera", reach: float = 3000.0) -> MapCamera:
     """Return a camera with its name, position and field of view, `reach` metres long, for a map."""
     x, y, _ = (float(value) for value in view.pose.position)
     return MapCamera(view.name, view.camera, (x, y), view.pose.angles_deg[0], reach)
@@ -204,8 +208,8 @@ def map_camera(view: PosedCamera, reach: float = 3000.0) -> MapCamera:
 def site_picture(
     dem: Dem,
     cameras: Sequence[MapCamera],
-    seen: tuple[Coverage, Coverage] | None,
-    prior: FuelPrior | None,
+    seen: "tuple[Coverage, Coverage] | None",
+    prior: "FuelPrior | None",
     offset: tuple[float, float],
     heading: str,
 ) -> RgbImage:

@@ -37,7 +37,9 @@ def _tracing(_: Site) -> None:
     from ltm_core.raster.dem import Dem
     from ltm_core.tracing import TerrainTracer
 
-    plain = Dem(np.zeros((9, 12), np.float32), GridGeometry(0.0, 9.0, 1.0, 12, 9))
+    heights = np.zeros((9, 12), np.float32)
+    heights[0, 0] = np.nan  # a hole
+    plain = Dem(heights, GridGeometry(0.0, 9.0, 1.0, 12, 9))
     pose = Pose.from_angles((6.3, 4.4, 10.0), 0.0, -20.0)
     for way in ("profile", "pyramid"):
         TerrainTracer(plain).trace(Camera.from_fov(3, 2, 50.0), pose, way)

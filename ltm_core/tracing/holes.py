@@ -40,6 +40,8 @@ def find_holes(elevation: Float32Array, rise: float, highest: float) -> Holes:
     unknown ground between nodes, metres; `highest`: its maximum height in outer holes."""
     width = elevation.shape[1]
     row, first, end = _runs(elevation)
+    if not row.size:  # most often: no kernel is loaded
+        return Holes(row, np.empty(0, np.bool_), row, np.empty(0, np.float32))
     rim = _rims(elevation, row, first, end, _joined(row, first, end, width))
     start = np.concatenate([[0], np.cumsum(end - first)])[:-1].astype(np.int64)
     ceilings = np.full(int((end - first).sum()), np.inf, np.float32)
@@ -94,8 +96,6 @@ def _runs(elevation: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
 
 def _joined(row: Int64Array, first: Int64Array, end: Int64Array, width: int) -> Int64Array:
     """For each run the number of its hole: runs that touch, at corners too, are one."""
-    if not row.size:
-        return row
     from scipy.sparse import coo_array  # here, because few DEMs have holes and SciPy takes long to load
     from scipy.sparse.csgraph import connected_components
 

@@ -130,12 +130,12 @@ def write_trace(out: Path, traced: RangeImage, frame: SiteFrame, counts: UInt32A
     """
     out.mkdir(parents=True, exist_ok=True)
     tags = _tags(traced, frame)
-    points = traced.points() + np.array([frame.x_origin, frame.y_origin, 0.0])
+    origin = np.array([frame.x_origin, frame.y_origin, 0.0])
     layers: dict[str, dict[str, NDArray[np.generic]]] = {
         "range": {"range along the ray, m": traced.range},
         "depth": {"depth along the optical axis, m": traced.depth()},
         "horizontal": {"horizontal distance, m": traced.horizontal()},
-        "alignment": {name: points[..., band] for band, name in enumerate(("x, m", "y, m", "z, m"))},
+        "alignment": {name: traced.points()[..., k] + origin[k] for k, name in enumerate(("x, m", "y, m", "z, m"))},
     }
     written = []
     for name, bands in layers.items():
@@ -168,7 +168,8 @@ def _write_image_raster(path: Path, bands: dict[str, NDArray[np.generic]], tags:
     height, width = first.shape
     profile = {"driver": "GTiff", "width": width, "height": height, "count": len(bands), "dtype": first.dtype}
     # Level 1 takes a third of the time, for a few percent more bytes.
-    profile |= {"nodata": np.nan, "compress": "deflate", "zlevel": 1, "predictor": 3, "interleave": "band"}
+    profile |= {"nodata": np.nan, "compress": "deflate", "zlevel": 1, "predictor": 3}
+    profile |= {"interleave": "band", "blockysize": 16}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # it lies in image space
         with rasterio.open(path, "w", **profile) as sink:

@@ -18,7 +18,7 @@ a profile cannot help use the maximum pyramid (`pyramid_traversal`). Both give t
 import threading
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
@@ -123,7 +123,9 @@ class TerrainTracer:
         self.possible = possible
         self._grounds = grounds(dem, possible)
         self._beyond = possible.steepest, highest_possible(dem, possible)
-        self._profiles = BoundedCache[Profile](PROFILE_BYTES, lambda levels: sum(a.nbytes for w in levels for a in w))
+        self._profiles = BoundedCache[Profile](PROFILE_BYTES, _bytes)
+        self._place: Hashable = None
+        """Position of the last traced image."""
         self._frames = BoundedCache[Float32Array](FRAME_BYTES, lambda ranges: ranges.nbytes)
         self._counts = np.zeros(3, np.int64)  # frames, frame hits, profile hits
         self._lock = threading.Lock()
@@ -178,8 +180,10 @@ class TerrainTracer:
             profile.append(extended(before, wanted, self._grounds[level], stage))
             sweep_image(self._grounds[level], stage, profile[-1], rotation, rays, ranges)
         whole = kept is not None and all(a is b for a, b in zip(kept, profile, strict=True))
-        if not whole:
+        # Of many cameras, one that stands still keeps its frame, and would never use its profile again.
+        if not whole and (place == self._place or _bytes(profile) <= _share(PROFILE_BYTES)):
             self._profiles.put(place, tuple(profile), _share(PROFILE_BYTES))
+        self._place = place
         return whole, ranges
 
     def trace_rays(self, origin: ArrayLike, directions: ArrayLike) -> Float32Array:
@@ -242,6 +246,10 @@ class TerrainTracer:
 
 
 _caching: weakref.WeakSet[TerrainTracer] = weakref.WeakSet()
+
+
+def _bytes(profile: Sequence[Wedges]) -> int:
+    return sum(array.nbytes for wedges in profile for array in wedges)
 
 
 def _share(most_bytes: int) -> int:

@@ -17,6 +17,27 @@ from ltm_core.pipeline.kernels import compile_kernels
 from ltm_core.site.site_io import load_site
 
 SITE = "bags/demo/site.yaml"
+DEM = "bags/demo/dem.tif"
+POSE = """pose: {x: 348000, y: 3785000, crs: "EPSG:32611", height_above_ground: 25, azimuth_deg: 60, pitch_deg: -5}
+calibration: {width: 1920, height: 1080, hfov_deg: 60}
+"""
+_TRACE = """
+import time
+from ltm_core.tracing.tracer import TerrainTracer
+from ltm_ros.cli.main import app
+trace, spent = TerrainTracer.trace, 0.0
+def timed(*given):
+    global spent
+    begun = time.process_time()
+    traced = trace(*given)
+    spent += time.process_time() - begun
+    return traced
+TerrainTracer.trace = timed
+try:
+    app()
+finally:
+    print(spent)
+"""
 
 
 class CompiledKernel(NamedTuple):
@@ -61,6 +82,35 @@ def compile_times(kinds: Iterable[str]) -> list[CompiledKernel]:
     return sorted(
         (CompiledKernel(name, sum(spent), len(spent)) for name, spent in times.items()), key=lambda row: -row.own_s
     )
+
+
+class TraceCost(NamedTuple):
+    """Processor time of `ltm trace` in seconds. `traced_s`: of it, the time in the tracer."""
+
+    whole_s: float
+    traced_s: float
+
+
+def trace_command_costs(runs: int) -> list[TraceCost]:
+    """Run `ltm trace` on the demo's DEM at 1080p `runs` times, each in a process of its own, with a cache of kernels
+    that is empty before the first."""
+    with tempfile.TemporaryDirectory() as name:
+        pose = Path(name) / "pose.yaml"
+        pose.write_text(POSE)
+        arguments = ["--dem", str(project_path(DEM)), "--pose", str(pose), "--out", name, "--overwrite"]
+        costs = []
+        for _ in range(runs):
+            before = os.times()
+            ran = subprocess.run(
+                [sys.executable, "-c", _TRACE, "trace", *arguments],
+                env=os.environ | {"NUMBA_CACHE_DIR": f"{name}/cache"},
+                stdout=subprocess.PIPE,
+                text=True,
+                check=True,
+            )
+            spent = [now - then for now, then in zip(os.times()[2:4], before[2:4], strict=True)]
+            costs.append(TraceCost(sum(spent), float(ran.stdout.splitlines()[-1])))
+        return costs
 
 
 def main() -> None:

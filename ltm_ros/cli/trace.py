@@ -8,15 +8,8 @@ import numpy as np
 from typer import Option
 
 from ltm_core.base.errors import ConfigError
-from ltm_core.depth.unseen_terrain import mostly_unknown
-from ltm_core.pictures import to_png
-from ltm_core.pictures.trace import coverage_picture, depth_picture, map_picture, write_coverage
 from ltm_core.storage.disk_io import require_files
-from ltm_core.tracing import TerrainTracer
-from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
-from ltm_core.visibility.viewshed import viewshed as covered
 from ltm_ros.cli.output import Crs, Dems, OptionalDems, Overwrite, open_dems, print_table, say, warn, working
-from ltm_ros.cli.scene import open_scene
 
 OUTPUTS = ("range.tif", "depth.tif", "horizontal.tif", "alignment.tif", "seen.tif", "depth.png", "map.png")
 
@@ -30,6 +23,12 @@ def trace(
     overwrite: Overwrite = False,
 ) -> None:
     """Trace a photo to the terrain: depth and alignment rasters, depth over the photo, map of the seen cells."""
+    from ltm_core.depth.unseen_terrain import mostly_unknown  # here, because help needs none of them
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.trace import depth_picture, map_picture
+    from ltm_core.tracing import TerrainTracer
+    from ltm_core.tracing.trace_io import cell_counts, load_picture_config, read_photo, set_up_picture, write_trace
+
     require_files((out / name for name in OUTPUTS), overwrite)
     config = load_picture_config(pose)
     setup = set_up_picture(config, open_dems(dem, crs))
@@ -97,6 +96,11 @@ def viewshed(
     overwrite: Overwrite = False,
 ) -> None:
     """Map what cameras cover: number of cameras, pixel footprint, and height at which smoke becomes visible."""
+    from ltm_core.pictures import to_png
+    from ltm_core.pictures.trace import coverage_picture, write_coverage
+    from ltm_core.visibility.viewshed import viewshed as covered
+    from ltm_ros.cli.scene import open_scene
+
     picture = out.with_suffix(".png") if picture is None else picture
     require_files((out, picture), overwrite)
     if (site is None) == (pose is None):

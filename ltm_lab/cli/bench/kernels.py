@@ -9,11 +9,11 @@ def kernels(
     kind: Annotated[list[str] | None, typer.Option(help="Kind of node, as depth. Repeatable. Default: all.")] = None,
     shown: Annotated[int, typer.Option(min=1, help="Number of kernels to list.")] = 25,
 ) -> None:
-    """List the kernels that take longest to compile, and the sum for each kind of node, one after the other."""
+    """List the kernels that take longest to compile, and their sum; and the processor time of `ltm trace`."""
     from rich.console import Console
 
     from ltm_core.pipeline.kernels import KERNELS
-    from ltm_lab.bench.kernels import compile_times
+    from ltm_lab.bench.kernels import compile_times, trace_command_costs
     from ltm_ros.cli.output import print_table
 
     console = Console()
@@ -24,4 +24,10 @@ def kernels(
     total = sum(row.own_s for row in rows)
     console.print(
         f"{len(rows)} functions, {total:.1f} s of processor time, {foreign:.1f} s of it for functions of numba"
+    )
+    cold, *warm = trace_command_costs(runs=4)
+    least = min(warm, key=lambda cost: cost.whole_s - cost.traced_s)
+    console.print(
+        f"ltm trace, 1080p: {cold.whole_s:.1f} s of processor time with no kernel compiled; with all, "
+        f"{least.traced_s:.2f} s for the trace and {least.whole_s - least.traced_s:.2f} s besides"
     )

@@ -34,8 +34,11 @@ def test_tracers_that_cache_share_the_memory_and_each_keeps_its_last_frame(way: 
     for other in others:
         other.trace(Camera(2, 1, 2.0, 2.0, 0.5, 0.0), poses[0], way)
     tracer = TerrainTracer(dem)
+    profiles = []
     for pose in poses:
         last = tracer.trace(CAMERA, pose).range
+        profiles.append(tracer.statistics.profile_bytes > 0)
+    assert profiles == [kept > 1, True]  # of many, one that has not turned keeps no profile
     assert tracer.statistics.frame_bytes == kept * last.nbytes
     assert tracer.trace(CAMERA, poses[-1]).range is last
 
