@@ -13,6 +13,7 @@ import numpy as np
 from ltm_core.base.types import BoolArray, Float32Array, UInt8Array
 from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import Label
+from ltm_lab.training.statements import stated
 from ltm_lab.training.training_frames import TrainingFrame
 
 Rng = np.random.Generator
@@ -117,7 +118,7 @@ def with_ground(host: Window, donor: Window, rng: Rng) -> Window:
 
 def land_of(labels: UInt8Array) -> BoolArray:
     """Pixels that are ground of any kind, or of unknown class."""
-    return np.asarray((labels != Label.SKY) & (labels != UNKNOWN))
+    return np.asarray((labels != Label.SKY) & (labels != UNKNOWN) & ~stated(labels))
 
 
 def fractal_noise(

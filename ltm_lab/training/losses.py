@@ -9,6 +9,7 @@ from torch.nn import functional
 from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_lab.training.config import OptimiserConfig
+from ltm_lab.training.statements import absent, stated
 
 _PAIRS = 600  # of pixels, drawn in each frame whose order of near and far a teacher gives
 _CLEAR = 0.12  # of the teacher's spread between the 5th and 95th percentile: a smaller step is no order
@@ -45,9 +46,11 @@ def class_loss(logits: Tensor, labels: Tensor, weights: Tensor, config: Optimise
     )
     if not torch.isfinite(loss):  # a batch without one labelled pixel
         loss = large.sum() * 0.0
-    for partial, impossible in ((UNLABELLED, (Label.SKY,)), (LAND, _NO_LAND)):
+    there = labels.unique().cpu().numpy()
+    said = [(int(label), absent(int(label))) for label in there[stated(there)]]
+    for partial, impossible in ((UNLABELLED, (Label.SKY,)), (LAND, _NO_LAND), *said):
         here = labels == partial
-        if config.partial > 0 and bool(here.any()):
+        if config.partial > 0 and impossible and bool(here.any()):
             possible = [k for k in range(len(weights)) if k not in impossible]
             within = torch.logsumexp(large[:, possible], dim=1) - torch.logsumexp(large, dim=1)
             loss = loss - config.partial * within[here].sum() / labels.numel()

@@ -2,7 +2,8 @@
 
 Beside the files of `labelled_frames`, a simulated set has `frames.json` and `NAME_truth.npz`, whose ranges give the
 true depth. Photos may have `NAME_order.npz` with `inverse` (h, w), a teacher's inverse depth of which only the order is
-trusted; posed frames `NAME_depth.npz` with `depth` (h, w), metres along the optical axis.
+trusted; posed frames `NAME_depth.npz` with `depth` (h, w), metres along the optical axis. `NAME_absent.txt` is a
+statement about the whole photo (see `statements`).
 """
 
 import json
@@ -15,10 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.base.types import Float32Array
+from ltm_core.base.types import Float32Array, UInt8Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.label_heads.labelled_frames import INDEX_FILE, Frame, read_frames
+from ltm_core.label_heads.labelled_frames import INDEX_FILE, UNKNOWN, Frame, read_frames
 from ltm_lab.training.config import SplitConfig
+from ltm_lab.training.statements import rows_of
+
+STATEMENT_SUFFIX = "_absent.txt"
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ def read_training_frames(folder: Path, classes: int, sampled: bool = False) -> l
     cameras, frames = _cameras(folder), []
     for frame in read_frames(folder, classes, sampled):
         inverse, ordinal = _inverse_depth(frame.path, cameras.get(frame.path.stem), frame.labels.shape[:2])
-        frames.append(TrainingFrame(frame.image, frame.labels, frame.path, inverse, ordinal))
+        frames.append(TrainingFrame(frame.image, _with_statement(frame), frame.path, inverse, ordinal))
     return frames
 
 
@@ -96,6 +100,15 @@ def _inverse_depth(photo: Path, camera: Camera | None, size: tuple[int, int]) ->
         with np.load(order) as content:
             return _at_size(content["inverse"].astype(np.float32), size), True
     return None, False
+
+
+def _with_statement(frame: Frame) -> UInt8Array:
+    """The labels of a frame, with what the file beside it says of the whole photo where nothing else is known."""
+    said = frame.path.with_name(f"{frame.path.stem}{STATEMENT_SUFFIX}")
+    if not said.is_file():
+        return frame.labels
+    rows = rows_of(said.read_text(encoding="utf-8"), frame.labels.shape[0])
+    return np.where(frame.labels == UNKNOWN, rows[:, None], frame.labels)
 
 
 def _inverse(depth: npt.NDArray[Any]) -> Float32Array:

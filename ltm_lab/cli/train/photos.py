@@ -34,8 +34,8 @@ def photos(
 ) -> None:
     """Label the photos of CONFIG with teachers and write each to OUT/<set>/: picture, labels, order of depth.
 
-    Of a CSV such as landscape_photos.csv, write the areas that people drew (landscape_areas.json beside it) into the
-    sets `areas_train` and `areas_validate`.
+    Of a CSV such as landscape_photos.csv, write the areas that people drew (landscape_areas.json beside it) and what
+    they said of whole photos into the sets `areas_train` and `areas_validate`.
     """
     import cv2
     import numpy as np
@@ -91,6 +91,7 @@ def _write_areas(table: Path, images: Path, out: Path) -> None:
     from ltm_core.label_heads.labelled_frames import UNKNOWN
     from ltm_core.vision.overlays import scene_of
     from ltm_lab.evaluation.segmentation.area_score import listed_photos
+    from ltm_lab.training.training_frames import STATEMENT_SUFFIX
 
     for role in ("train", "validate"):
         for photo in listed_photos(role, table):
@@ -102,6 +103,8 @@ def _write_areas(table: Path, images: Path, out: Path) -> None:
             for index, (label, _) in enumerate(photo.areas):
                 labels[photo.drawn(index, height, width) > 0] = label
             _write(out / f"areas_{role}" / photo.name, image, labels)
+            if photo.absent:
+                (out / f"areas_{role}" / f"{photo.name}{STATEMENT_SUFFIX}").write_text(photo.absent, encoding="utf-8")
 
 
 def _opinions(sky: "Segmenter", scene: "Segmenter", photo: UInt8Array, size: tuple[int, int]) -> "Opinions":

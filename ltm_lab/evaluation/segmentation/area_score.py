@@ -27,12 +27,14 @@ _GRID = 400  # pixels across a photo that are compared
 
 @dataclass(frozen=True)
 class ListedPhoto:
-    """A photo of the list: its id, what it shows, and its areas (label id, corners in shares of the sides)."""
+    """A photo of the list: its id, what it shows, its areas (label id, corners in shares of the sides), and what
+    is absent from it (see `ltm_lab.training.statements`)."""
 
     name: str
     kind: str
     role: str
     areas: tuple[tuple[int, tuple[tuple[float, float], ...]], ...]
+    absent: str = ""
 
     def read(self, folder: Path) -> UInt8Array:
         """Read the photo (H, W, 3) RGB from a folder. Raises RecordingError if it is not there."""
@@ -56,7 +58,7 @@ def listed_photos(role: str, table: Path = lab_config("training/landscape_photos
         areas.setdefault(area["photo"], []).append((ids[area["class"]], tuple((u, v) for u, v in area["polygon"])))
     with table.open(encoding="utf-8", newline="") as file:
         return [
-            ListedPhoto(row["id"], row["kind"], row["role"], tuple(areas[row["id"]]))
+            ListedPhoto(row["id"], row["kind"], row["role"], tuple(areas.get(row["id"], [])), row.get("absent") or "")
             for row in csv.DictReader(file)
             if row["role"] == role
         ]

@@ -13,6 +13,7 @@ from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.training.augment import augmented
 from ltm_lab.training.config import AugmentConfig, OptimiserConfig, SplitConfig
+from ltm_lab.training.statements import rows_of
 from ltm_lab.training.training_frames import TrainingFrame, read_split, read_training_frames
 
 if TYPE_CHECKING:
@@ -145,6 +146,10 @@ def test_partial_knowledge_rules_out_what_cannot_be() -> None:
     assert loss(LAND, Label.WATER) > 1.0 > 0.1 > loss(LAND, Label.TREE)
     assert loss(UNLABELLED, Label.SKY) > 1.0 > 0.1 > loss(UNLABELLED, Label.WATER)
     assert loss(UNKNOWN, Label.SKY) == 0.0
+    (no_shrub,) = set(rows_of("shrub built", 9).tolist())
+    assert loss(no_shrub, Label.SHRUB) > 1.0 > 0.1 > loss(no_shrub, Label.TREE)
+    with pytest.raises(ConfigError, match="shrubs"):
+        rows_of("water shrubs", 9)
 
 
 def test_teachers_split_a_slope_by_a_persons_word() -> None:
