@@ -120,8 +120,11 @@ def with_configured_host(stated: str, asked: str) -> str:
 
 def found(root: ElementTree.Element, *names: str) -> ElementTree.Element | None:
     """Return the first element below others of these names, in this order, at any depth, in any namespace: cameras of
-    one maker vary it."""
-    return root.find("." + "".join(f"//{{*}}{name}" for name in names))
+    one maker vary it. One name at a time, because a single path of several takes minutes on deeply nested XML."""
+    here: ElementTree.Element | None = root
+    for name in names:
+        here = None if here is None else here.find(f".//{{*}}{name}")
+    return here
 
 
 def number(text: str | None, what: str) -> float:

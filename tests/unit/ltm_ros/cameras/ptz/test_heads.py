@@ -1,4 +1,5 @@
 from collections.abc import Callable, Iterator
+from time import process_time
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ from scenes.ptz_camera import FakeHead, ptz_camera
 from ltm_core.site.source_config import PtzConfig
 from ltm_ros.cameras.protocols.credentials import SourceError, UnauthorisedError
 from ltm_ros.cameras.protocols.picture import PtzHead
-from ltm_ros.cameras.ptz.head import parsed_xml
+from ltm_ros.cameras.ptz.head import found, parsed_xml
 from ltm_ros.cameras.ptz.makers import OnvifPtzHead, open_ptz
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -142,6 +143,12 @@ def test_what_is_no_answer_is_told_as_such(turning: Turning, kind: str, body: by
 def test_a_document_type_is_seen_in_every_encoding(encoding: str) -> None:
     with pytest.raises(SourceError, match="document type"):
         parsed_xml(BOMB.decode().encode(encoding))
+
+
+def test_elements_nested_thousands_of_times_are_searched_in_a_moment() -> None:
+    root, begin = parsed_xml(b"<PTZ>" * 20_000 + b"</PTZ>" * 20_000), process_time()
+    assert found(root, "PTZ", "XAddr") is None
+    assert process_time() - begin < 2.0
 
 
 def test_an_answer_without_end_is_not_read_to_it(turning: Turning) -> None:
