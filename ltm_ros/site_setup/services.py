@@ -26,7 +26,6 @@ from ltm_ros.site_setup.request import (
     Plan,
     Progress,
     no_progress,
-    shifted,
 )
 from ltm_ros.site_setup.source import Source, filled, list_in
 from ltm_ros.site_setup.web import check_room, digest, in_words, put_into
@@ -45,38 +44,7 @@ _FUEL_CRS = {_CONUS: "5070", _ALASKA: "3338"}
 _LATITUDE_OF_ALASKA, _LONGITUDE_OF_HAWAII = 51.0, -150.0
 
 
-class WholeFileSource(Source):
-    """A source whose parts are whole files that the service makes for the area. `key_parameter`: the request passes the
-    key as this parameter, which is kept out of plans and messages."""
-
-    key_parameter = ""
-
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        files, used, done = [], [], 0
-        secret = {self.key_parameter: self.key} if self.key_parameter else {}
-        check_room(folder, plan.expected_bytes)
-        for part in plan.parts:
-            within = shifted(progress, done, plan.expected_bytes)
-            path = self.web.download(part.url, secret, most=4 * part.expected_bytes, progress=within)
-            try:
-                with open_raster(path, driver="GTiff") as source:
-                    unknown = read_band(source, 1)[1].all()
-            except RasterError as error:
-                with path.open("rb") as file:
-                    said = in_words(file.read(600))
-                path.unlink()
-                raise FetchError(f"{redacted(part.url)}: not a GeoTIFF ({said}); check the request") from error
-            if not unknown:
-                files.append(put_into(folder, path, part.name))
-                used.append(part)
-            done += part.expected_bytes
-            progress(done, plan.expected_bytes)
-        if not files:
-            raise NoCoverageError(f"{self.name}: every cell of the area is unknown; choose another source")
-        return self._fetched(plan, files, used)
-
-
-class OpenTopographySource(WholeFileSource):
+class OpenTopographySource(Source):
     """The global and USGS elevation APIs of OpenTopography."""
 
     key_parameter = "API_Key"
@@ -89,7 +57,7 @@ class OpenTopographySource(WholeFileSource):
         return Plan(area, (Part(url, f"{self.name}.tif", round(4 * cells) + (1 << 16)),), (), self.year)
 
 
-class CoverageSource(WholeFileSource):
+class CoverageSource(Source):
     """Coverages of any Web Coverage Service 2.0, cut on their own grid so that nothing is resampled.
 
     The address has `{layer}` as its coverage; the service's description states CRS, axes and cells."""
@@ -239,9 +207,7 @@ class LandfireSource(Source):
 
     def _finished(self, noted: Path) -> str | None:
         """Wait for a job, and return the address of its result; None if there is no such job. Raises FetchError."""
-        try:
-            job = noted.read_text()
-        except OSError:
+        if not (job := noted.read_text() if noted.exists() else ""):
             return None
         end = time.monotonic() + _JOB_S
         while time.monotonic() < end:

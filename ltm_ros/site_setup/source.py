@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import plain, redacted
+from ltm_core.base.types import BoolArray
+from ltm_core.raster.raster_io import open_raster, read_band
 from ltm_ros.site_setup.rasters import MOST_CELLS
 from ltm_ros.site_setup.request import (
     Area,
@@ -24,9 +27,10 @@ from ltm_ros.site_setup.request import (
     Progress,
     SourceConfig,
     no_progress,
+    shifted,
 )
-from ltm_ros.site_setup.web import Web, put_into
-from ltm_ros.site_setup.windows import fetch_parts, plan_window
+from ltm_ros.site_setup.web import Web, check_room, in_words, put_into
+from ltm_ros.site_setup.windows import fetch_window, plan_window
 
 _PAGE = 100
 _MOST_ITEMS = 1000
@@ -49,7 +53,11 @@ class Item:
 
 
 class Source:
-    """A data set of a service. Subclasses say what there is (`_items`), or plan and fetch by themselves."""
+    """A data set of a service. Subclasses say what there is (`_items`), or plan and fetch by themselves.
+
+    `key_parameter`: requests for whole files pass the key as this one, which is kept out of plans and messages."""
+
+    key_parameter = ""
 
     def __init__(self, name: str, config: SourceConfig, web: Web) -> None:
         self.name, self.config, self.web = name, config, web
@@ -93,13 +101,47 @@ class Source:
             raise NoCoverageError(reason)
 
     def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        """Fetch a plan into `folder`; files appear there whole or not at all.
+        """Fetch a plan into `folder`; files appear there whole or not at all, and what is finished stays in the cache.
 
-        Raises NoCoverageError if every cell turns out to be unknown, as beyond a border; FetchError."""
-        self.web.make_cache()
-        tags = {"SOURCE": self.name, "LICENCE": self.licence}
-        files, used = fetch_parts(plan.parts, folder, self.web, progress, self.config.nodata, tags)
+        A later part of the same tile is fetched only if the former ones have unknown cells. Raises NoCoverageError if
+        every cell turns out to be unknown, as beyond a border; FetchError."""
+        files, used, done = [], [], 0
+        check_room(self.web.cache, plan.expected_bytes)
+        lacking: dict[str, BoolArray] = {}  # cells by tile
+        for part in plan.parts:
+            before = lacking.get(part.tile)
+            if before is None or before.any():
+                path, unknown = self._file(part, shifted(progress, done, plan.expected_bytes))
+                if not unknown.all():
+                    files.append(put_into(folder, path, part.name))
+                    used.append(part)
+                if part.tile:
+                    lacking[part.tile] = (
+                        unknown if before is None or before.shape != unknown.shape else before & unknown
+                    )
+            done += part.expected_bytes
+            progress(done, plan.expected_bytes)
+        if not files:
+            raise NoCoverageError("every cell is unknown (sea, or outside the survey); choose another source")
         return self._fetched(plan, files, used)
+
+    def _file(self, part: Part, progress: Progress) -> tuple[Path, BoolArray]:
+        """Return the file of a part in the cache, and which of its cells are unknown. Raises FetchError."""
+        if part.remote is not None and part.window is not None:
+            tags = {"SOURCE": self.name, "LICENCE": self.licence}
+            path = fetch_window(part.remote, part.window, self.web, progress, self.config.nodata, tags)
+        else:
+            secret = {self.key_parameter: self.key} if self.key_parameter else {}
+            most, sha256 = 4 * part.expected_bytes, self.config.sha256
+            path = self.web.download(part.url, secret, remote=part.remote, sha256=sha256, most=most, progress=progress)
+        try:
+            with open_raster(path, driver="GTiff") as source:
+                return path, read_band(source, 1)[1]
+        except RasterError as error:
+            with path.open("rb") as file:
+                said = in_words(file.read(600))
+            path.unlink()
+            raise FetchError(f"{redacted(part.url)}: not a GeoTIFF ({said}); check the request") from error
 
     def _fetched(self, plan: Plan, files: list[Path], used: list[Part]) -> Fetched:
         urls = tuple(redacted(part.url) for part in used)
@@ -230,13 +272,6 @@ class UrlSource(Source):
             raise NoCoverageError(f"{redacted(self.address)}: no such file")
         part = Part(remote.url, _file_name(self.address), remote.size, remote)
         return Plan(area, (part,), (), self.year)
-
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
-        if not self.config.sha256:
-            return super().fetch(plan, folder, progress)
-        (part,) = plan.parts
-        path = self.web.download(part.url, remote=part.remote, sha256=self.config.sha256, progress=progress)
-        return self._fetched(plan, [put_into(folder, path, part.name)], [part])
 
 
 def list_in(answer: Any, key: str, name: str) -> list[Any]:

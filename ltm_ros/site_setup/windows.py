@@ -7,21 +7,20 @@ rasterio would replace the reading of directories and ranges, but an interrupted
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import redacted
-from ltm_core.raster.raster_io import open_raster, read_band
+from ltm_core.raster.raster_io import open_raster
 from ltm_core.storage.disk_io import written_whole
-from ltm_ros.site_setup.request import Area, FetchError, NoCoverageError, Part, Progress, Remote, shifted
-from ltm_ros.site_setup.web import Web, check_room, digest, only_writer, put_into
+from ltm_ros.site_setup.request import Area, FetchError, Part, Progress, Remote
+from ltm_ros.site_setup.web import Web, check_room, digest, only_writer
 
 MARGIN_CELLS = 3
 """Cells beyond the area on each side, so that an interpolation at its edge has its neighbours."""
@@ -82,40 +81,10 @@ def window_of(source: Any, area: Area) -> Window | None:
     return column, row, right - column, bottom - row
 
 
-def fetch_parts(
-    parts: Sequence[Part], folder: Path, web: Web, progress: Progress, nodata: float | None, tags: dict[str, str]
-) -> tuple[list[Path], list[Part]]:
-    """Fetch windows into `folder`, and return the files, and the parts that they came from.
-
-    Finished windows are kept in the cache. A later part of the same tile is fetched only if the former ones have
-    unknown cells. Raises NoCoverageError if every cell is unknown, FetchError."""
-    files, used, done = [], [], 0
-    total = sum(part.expected_bytes for part in parts)
-    check_room(web.cache, total)
-    known: dict[str, NDArray[np.bool_]] = {}
-    for part in parts:
-        before = known.get(part.tile)
-        if before is None or not before.all():
-            path = _fetch_window(part, web, shifted(progress, done, total), nodata, tags)
-            with open_raster(path, driver="GTiff") as source:
-                here = ~read_band(source, 1)[1]
-            if here.any():
-                files.append(put_into(folder, path, part.name))
-                used.append(part)
-            if part.tile:
-                known[part.tile] = here if before is None or before.shape != here.shape else before | here
-        done += part.expected_bytes
-        progress(done, total)
-    if not files:
-        raise NoCoverageError("every cell of the area is unknown (sea, or outside the survey); choose another source")
-    return files, used
-
-
-def _fetch_window(part: Part, web: Web, progress: Progress, nodata: float | None, tags: dict[str, str]) -> Path:
+def fetch_window(
+    remote: Remote, window: Window, web: Web, progress: Progress, nodata: float | None, tags: dict[str, str]
+) -> Path:
     """Return the file of a window in the cache. Raises FetchError."""
-    remote, window = part.remote, part.window
-    if remote is None or window is None:
-        raise FetchError(f"{part.name}: the plan states no window to fetch; run the command again")
     path = web.cache / f"{digest(remote.url, remote.version, window, nodata)}.tif"
     if path.exists():
         return path
