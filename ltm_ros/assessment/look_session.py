@@ -1,6 +1,7 @@
 """Hold the sampled cells of a plan for the page on which an interpreter names what grows there."""
 
 import threading
+from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from importlib.resources import files
@@ -24,8 +25,7 @@ from ltm_core.storage.config_io import checked
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.assessment.answers_io import FORM_NAMES, Answer, Certainty, Plan, SampledCell, read_answers, write_answers
 from ltm_ros.assessment.cell_photos import PHOTOS, CellPhoto, PhotoIndex
-from ltm_ros.labelling.server import PageServer, jpeg_route, json_route, save_route
-from ltm_ros.runtime.web_server import Route
+from ltm_ros.labelling.server import PageServer
 
 KEYS: Final = dict(zip("gstbwux", FORM_NAMES, strict=True))
 """Keys of the life forms."""
@@ -143,17 +143,17 @@ class LookServer(PageServer):
     """Serve the page of a session."""
 
     def __init__(self, session: LookSession, port: int = 0) -> None:
-        routes: dict[str, Route] = {"GET cells": json_route(session.overview)}
+        answers: dict[str, Callable[..., Any]] = {"GET cells": session.overview}
         for number in range(len(session)):
-            routes[f"GET cell/{number}"] = json_route(partial(session.cell, number))
-            routes[f"GET map/{number}"] = jpeg_route(partial(session.map, number))
-            routes[f"GET imagery/{number}"] = jpeg_route(partial(session.imagery, number))
-            routes[f"PUT answer/{number}"] = save_route(partial(session.save, number))
+            answers[f"GET cell/{number}"] = partial(session.cell, number)
+            answers[f"GET map/{number}"] = partial(session.map, number)
+            answers[f"GET imagery/{number}"] = partial(session.imagery, number)
+            answers[f"PUT answer/{number}"] = partial(session.save, number)
             for place in range(PHOTOS):
-                routes[f"GET photo/{number}/{place}"] = jpeg_route(partial(session.photo, number, place))
+                answers[f"GET photo/{number}/{place}"] = partial(session.photo, number, place)
         page = files("ltm_ros.assessment").joinpath("look.html").read_text("utf-8")
         parts = urlsplit(session.tiles)
-        super().__init__(page, routes, port, f"{parts.scheme}://{parts.netloc}" if session.tiles else "")
+        super().__init__(page, answers, port, f"{parts.scheme}://{parts.netloc}" if session.tiles else "")
 
 
 def _tiles(imagery: str) -> str:

@@ -155,12 +155,13 @@ REQUEST_S = 600.0
 
 class PageServer(WebServer):
     """Serve a page and its data on the loopback interface; its `url` holds a random token. `page`: HTML in which NONCE
-    marks its own script and style. `routes`: by method and path below the page, as "GET photos". `tiles`: origin of a
-    map that the page may load images from, such as https://tiles.example; "": none."""
+    marks its own script and style. `answers`: by method and path below the page, as "GET photos", what returns a JPEG
+    or a value to send as JSON; for PUT, given the value of the JSON that was received. `tiles`: origin of a map that
+    the page may load images from, such as https://tiles.example; "": none."""
 
-    def __init__(self, page: str, routes: Mapping[str, Route], port: int = 0, tiles: str = "") -> None:
+    def __init__(self, page: str, answers: Mapping[str, Callable[..., Any]], port: int = 0, tiles: str = "") -> None:
         root = f"/{secrets.token_urlsafe(24)}/"
-        rooted = {name.replace(" ", f" {root}", 1): route for name, route in routes.items()}
+        rooted = {name.replace(" ", f" {root}", 1): _route(name, answer) for name, answer in answers.items()}
         rooted[f"GET {root}"] = lambda _: _page(page, tiles)
         super().__init__(rooted, port=port, body_bytes=MOST_BYTES, request_s=REQUEST_S)
         self.url += root
@@ -170,13 +171,13 @@ class LabelServer(PageServer):
     """Serve a folder's photos and their areas."""
 
     def __init__(self, session: LabelSession, port: int = 0) -> None:
-        routes: dict[str, Route] = {"GET photos": json_route(session.overview)}
+        answers: dict[str, Callable[..., Any]] = {"GET photos": session.overview}
         for number in range(len(session)):
-            routes[f"GET photo/{number}"] = jpeg_route(partial(session.photo, number))
-            routes[f"GET areas/{number}"] = json_route(partial(session.areas, number))
-            routes[f"GET suggested/{number}"] = json_route(partial(session.suggested, number))
-            routes[f"PUT areas/{number}"] = save_route(partial(session.save, number))
-        super().__init__(files("ltm_ros.labelling").joinpath("page.html").read_text("utf-8"), routes, port)
+            answers[f"GET photo/{number}"] = partial(session.photo, number)
+            answers[f"GET areas/{number}"] = partial(session.areas, number)
+            answers[f"GET suggested/{number}"] = partial(session.suggested, number)
+            answers[f"PUT areas/{number}"] = partial(session.save, number)
+        super().__init__(files("ltm_ros.labelling").joinpath("page.html").read_text("utf-8"), answers, port)
 
 
 def serve(make: Callable[[int], PageServer], port: int, browser: bool) -> None:
@@ -196,25 +197,11 @@ def serve(make: Callable[[int], PageServer], port: int, browser: bool) -> None:
         server.close()
 
 
-def json_route(make: Callable[[], object]) -> Route:
-    """Return the handler that sends a value as JSON."""
-    return _checked(lambda _: WebResponse.json(make()))
-
-
-def jpeg_route(make: Callable[[], bytes]) -> Route:
-    """Return the handler that sends a JPEG."""
-    return _checked(lambda _: WebResponse(make(), "image/jpeg"))
-
-
-def save_route(save: Callable[[object], object]) -> Route:
-    """Return the handler that saves the JSON it receives, and sends what is stored."""
-    return _checked(lambda body: WebResponse.json(save(json.loads(body))))
-
-
-def _checked(route: Route) -> Route:
+def _route(name: str, answer: Callable[..., Any]) -> Route:
     def respond(body: bytes) -> WebResponse:
         try:
-            return route(body)
+            value = answer(json.loads(body)) if name.startswith("PUT ") else answer()
+            return WebResponse(value, "image/jpeg") if isinstance(value, bytes) else WebResponse.json(value)
         except (LtmError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
             return WebResponse.error(HTTPStatus.BAD_REQUEST, str(error))
         except OSError as error:
