@@ -27,6 +27,7 @@ LISTENS_S = 4.0
 """Seconds for which a stream is read to count its images."""
 FEW = 3
 """Number of single images that are requested."""
+CLOCK = "clock ahead of ours by"
 
 SNAPSHOT_PATHS = (
     "/axis-cgi/jpg/image.cgi",
@@ -51,12 +52,8 @@ class Found:
     source: dict[str, Any] | None = None
     size: tuple[int, int] | None = None
     bytes_each: int | None = None
-    rate_hz: float | None = None
-    seconds_each: float | None = None
-    fresh: bool | None = None
-    """Whether two requests a moment apart returned different images."""
-    clock_ahead_s: tuple[float, float] | None = None
-    """Seconds by which the camera's clock is ahead of ours, and their uncertainty."""
+    measured: dict[str, str] = field(default_factory=dict)
+    """Rate, response time and clock, in words."""
     ptz: tuple[dict[str, Any], PtzReading] | None = None
     """Section of the PTZ head in a site file, and its direction."""
     stated: tuple[str, ...] = ()
@@ -141,8 +138,8 @@ def _image_at(found: Found, url: str, web: dict[str, Any]) -> str:
         client.close()
     picture = picture_in(answers[-1])
     found.size, found.bytes_each = picture_size(picture), len(picture)
-    found.seconds_each = min(answer.arrived - answer.asked for answer in answers)
-    found.fresh = answers[0].body != answers[-1].body
+    seconds, repeated = min(answer.arrived - answer.asked for answer in answers), answers[0].body == answers[-1].body
+    found.measured["response time"] = f"{seconds:.2f} s, {'the same' if repeated else 'a new'} image each time"
     _clock_of(found, answers)
     found.source = {"kind": "snapshot", "url": url}
     return f"an image of {found.size[0]} x {found.size[1]} pixels"
@@ -163,13 +160,13 @@ def _stream(found: Found, reader: CameraReader) -> str:
                 found.size, found.bytes_each = picture_size(picture.jpeg), len(picture.jpeg)
             if picture.timing.taken is not None:
                 now = time.time() - (time.monotonic() - picture.timing.arrived)
-                found.clock_ahead_s = picture.timing.taken.epoch - now, 0.5
+                found.measured[CLOCK] = f"{picture.timing.taken.epoch - now:+.1f} +- 0.5 s"
     finally:
         reader.close()
     if not arrivals:
         raise SourceError(f"no image within {LISTENS_S:g} s")
     if (lasted := arrivals[-1] - arrivals[0]) > 0:
-        found.rate_hz = (len(arrivals) - 1) / lasted
+        found.measured["rate"] = f"{(len(arrivals) - 1) / lasted:.1f} images per second"
     return f"{len(arrivals)} images in {LISTENS_S:g} s"
 
 
@@ -182,7 +179,7 @@ def _clock_of(found: Found, answers: list[HttpResponse]) -> None:
         bounds.add(stated.epoch - answer.arrived, stated.epoch + stated.resolution - answer.asked, answer.arrived)
     low, high = bounds.at(answers[-1].arrived)
     ours = time.time() - time.monotonic()
-    found.clock_ahead_s = (low + high) / 2 - ours, (high - low) / 2
+    found.measured[CLOCK] = f"{(low + high) / 2 - ours:+.1f} +- {(high - low) / 2:.1f} s"
 
 
 def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
@@ -190,8 +187,8 @@ def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
     ptz = open_ptz(config, None)
     try:
         if isinstance(ptz, OnvifPtzHead):
-            ahead = ptz.soap.clock_ahead()
-            found.clock_ahead_s = None if ahead is None else (ahead, 0.5)
+            if (ahead := ptz.soap.clock_ahead()) is not None:
+                found.measured[CLOCK] = f"{ahead:+.1f} +- 0.5 s"
             found.stated = tuple(filter(None, ptz.picture_addresses()))
         reading = ptz.read()
     finally:

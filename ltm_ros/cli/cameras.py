@@ -204,9 +204,9 @@ def _secret(
 def _print_found(found: Found) -> None:
     rows: list[Row] = []
 
-    def row(what: str, told: str, style: str = "", style_of_name: str = "") -> None:
+    def row(what: str, told: str, style: str = "") -> None:
         """Add a row, without the control characters that a camera may have written."""
-        rows.append(((style_of_name, plain(what)), (style, plain(told))))
+        rows.append(((style, plain(what)), (style, plain(told))))
 
     if found.source is not None:
         row("images", f"{found.source['kind']} at {found.source['url']}")
@@ -215,13 +215,8 @@ def _print_found(found: Found) -> None:
     if found.size is not None:
         each = "" if found.bytes_each is None else f", {found.bytes_each / 1000:.0f} kB each"
         row("size", f"{found.size[0]} x {found.size[1]} pixels{each}")
-    if found.rate_hz is not None:
-        row("rate", f"{found.rate_hz:.1f} images per second")
-    if found.seconds_each is not None:
-        which, style = ("a new", "") if found.fresh else ("the same", "yellow")
-        row("response time", f"{found.seconds_each:.2f} s, {which} image each time", style)
-    if found.clock_ahead_s is not None:
-        row("clock ahead of ours by", "{:+.1f} +- {:.1f} s".format(*found.clock_ahead_s))
+    for measured in found.measured.items():
+        row(*measured)
     if found.ptz is not None:
         ptz, reading = found.ptz
         row("PTZ protocol", " ".join(str(value) for value in ptz.values()))
@@ -229,5 +224,5 @@ def _print_found(found: Found) -> None:
         row("tilt", f"{reading.tilt_deg:.2f} deg")
         row("zoom", f"{reading.zoom:g}")
     for what, told in found.tried:
-        row(f"request: {what}", told, "dim", "dim")
+        row(f"request: {what}", told, "dim")
     print_table("camera", ("what", "found"), rows)

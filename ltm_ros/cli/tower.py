@@ -1,6 +1,5 @@
 """`ltm status`, `doctor`, `upgrade` and `rollback`: commands for an installed tower."""
 
-import contextlib
 import json
 import os
 import signal
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 
 INSTALLED_SITE = Path("/etc/ltm/site.yaml")
-STYLES = {"ok": "green", "warning": "yellow", "silent": "bold red", "missing": "bold red"}
+STYLES = {"ok": "green", "optional": "dim", "warning": "yellow", "silent": "bold red", "missing": "bold red"}
 
 
 def status(
@@ -95,14 +94,7 @@ def doctor(
     if json:
         typer.echo(as_json(findings))
         raise typer.Exit(1 if missing else 0)
-    styles = {
-        DoctorState.OK: "green",
-        DoctorState.OPTIONAL: "dim",
-        DoctorState.WARNING: "yellow",
-        DoctorState.MISSING: "bold red",
-    }
-    rows = [(one.area, str(one.state), styles[one.state], one.name, one.detail) for one in findings]
-    print_findings(rows)
+    print_findings((one.area, one.state, STYLES[one.state], one.name, one.detail) for one in findings)
     # Printed below the table without line breaks, so that they can be copied.
     for finding in findings:
         if finding.remedy:
@@ -155,6 +147,7 @@ def rollback(
 
 
 def _upgrade(ready_minutes: float) -> "Upgrade":
+    from ltm_ros.launching.runner import print_line  # a radio link may have dropped: its errors do not end the upgrade
     from ltm_ros.tower.releases import ROOT, Releases
     from ltm_ros.tower.store_copy import SystemdService
     from ltm_ros.tower.upgrade import Places, Upgrade
@@ -165,9 +158,4 @@ def _upgrade(ready_minutes: float) -> "Upgrade":
         raise ConfigError("upgrade and rollback need root: sudo ltm upgrade ...")
     # If a radio link drops, the shell and its terminal end. The upgrade still runs to its end, or back.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    return Upgrade(releases, SystemdService(), Places(), _say, ready_minutes * 60.0)
-
-
-def _say(line: str) -> None:
-    with contextlib.suppress(OSError):
-        typer.echo(f"-- {line}")
+    return Upgrade(releases, SystemdService(), Places(), lambda line: print_line(f"-- {line}"), ready_minutes * 60.0)
