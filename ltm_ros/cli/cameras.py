@@ -13,7 +13,6 @@ from typer import Argument, Option
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.redaction import plain, redacted, url_without_secrets
 from ltm_core.geometry.pose import pose_sigmas, sigma_keys
-from ltm_core.pose_estimation.mount.mount_io import append_reading
 from ltm_core.site.site import Site
 from ltm_core.site.site_io import dumped, load_site, stated_sections, write_camera
 from ltm_core.site.source_config import SecretConfig
@@ -106,6 +105,8 @@ def snapshot(
     overwrite: Overwrite = False,
 ) -> None:
     """Take an image now, with its pose. For a PTZ head, add its reading to readings.csv for `ltm pose mount`."""
+    from ltm_core.pose_estimation.mount.mount_io import append_reading  # here, because help and `probe` do not need it
+
     loaded = load_site(site)
     require_folder(out, "an image")
     with working(f"requesting an image from {camera}"):

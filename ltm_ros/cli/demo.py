@@ -13,9 +13,6 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import project_path
 from ltm_core.storage.disk_io import require_folder
 from ltm_ros.cli.output import print_nodes, print_table, progress_bar, say
-from ltm_ros.demo.report import bin_name
-from ltm_ros.demo.score import RunScore
-from ltm_ros.demo.simulated import run_demo
 
 MARK = ".ltm-demo"
 """File in the folder of a demo, which the next one may delete."""
@@ -26,11 +23,14 @@ def demo(
     domain: Annotated[int, Option(min=0, max=232, help="ROS domain of the demo's graph.")] = 87,
 ) -> None:
     """Run the live graph on a small recording; write a report, a fuel map and a Rerun recording to OUT."""
+    from ltm_ros.demo.report import score_rows  # here, because help needs none of them
+    from ltm_ros.demo.simulated import run_demo
+
     clear_demo(out)
     with progress_bar("demo", loops=True) as progress:
         nodes, score = run_demo(project_path("bags"), out, domain, progress, say)
     print_nodes(nodes)
-    print_table("against truth", ("", ""), _score_rows(score))
+    print_table("against truth", ("", ""), score_rows(score))
     say(f"report: {out / 'report.html'}")
     shown = to_type(f"ltm view --rrd {out / 'demo.rrd'}")
     typer.echo(f"in Rerun: {shown}")  # on one line, to be copied
@@ -49,30 +49,6 @@ def clear_demo(out: Path) -> None:
         shutil.rmtree(out)
     out.mkdir(parents=True, exist_ok=True)
     (out / MARK).touch()
-
-
-def _score_rows(scored: RunScore) -> list[tuple[str, str]]:
-    rows = [
-        (f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m")
-        for row in scored.depth
-        for score in row.scores
-        if row.against == "visible surface" and score.pixels
-    ]
-    if scored.labels is not None:
-        rows.append(("correct labels", f"{100 * scored.labels.accuracy:.1f} %"))
-    if (fuel := scored.fuel) is not None:
-        rows.append(("fuel cells seen", f"{fuel.seen} of {fuel.cells}"))
-        for name, one in (("", fuel), (", majority vote", scored.fuel_vote), (", prior alone", scored.fuel_prior)):
-            if one is not None:
-                share = 100 * one.right / max(1, one.seen)
-                rows.append((f"correct fuel cells{name}", f"{one.right} ({share:.1f} %)"))
-    if (changes := scored.fuel_changes) is not None:
-        for name, part in (
-            ("changed, detected", changes.found),
-            ("unchanged, changed by the map", changes.false_flips),
-        ):
-            rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
-    return rows
 
 
 def to_type(command: str) -> str:

@@ -14,7 +14,6 @@ from pyproj import Geod
 from typer import Option
 
 from ltm_core.base.errors import ConfigError
-from ltm_ros.cli.check import report
 from ltm_ros.cli.output import numbers, print_table, progress_bar, say, warn, working
 from ltm_ros.site_setup.camera_list import CameraValues, parse_camera, read_cameras
 from ltm_ros.site_setup.request import Kind
@@ -75,6 +74,8 @@ def init(
         say(f"{key}: {layer.path} ({layer.described})")
     for remark in dict.fromkeys([*plan.remarks, *remarks, *said]):
         warn(remark)
+    from ltm_ros.cli.check import report  # here, because help and --dry-run do not need it
+
     wrong = report(wish.site_file, wish.out / "check.png")
     command = f"ltm run {wish.site_file} --state {wish.out / 'map'} --view"
     typer.echo(f"Next: {command}" if not wrong else f"Correct {wish.site_file}, then: ltm check {wish.site_file}")

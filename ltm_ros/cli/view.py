@@ -14,12 +14,7 @@ import typer
 from typer import Option
 
 from ltm_core.base.errors import ConfigError, RecordingError
-from ltm_core.site.site_io import load_site
 from ltm_core.storage.disk_io import require_folder
-from ltm_ros.launching.graph import Graph, ParameterValue, describe
-from ltm_ros.launching.runner import Runner
-from ltm_ros.runtime.web_server import bind_error
-from ltm_ros.tower.tower_mirror import TowerMirror, reached
 
 _START_S = 60.0
 """Time limit for the start of the viewer node, seconds."""
@@ -44,6 +39,9 @@ def view(
     if connect is not None:
         if save is not None:
             raise ConfigError("--connect shows a page: remove --save")
+        from ltm_ros.runtime.web_server import bind_error
+        from ltm_ros.tower.tower_mirror import TowerMirror, reached
+
         if error := bind_error("127.0.0.1", web_port):
             raise ConfigError(
                 f"port {web_port} on 127.0.0.1 is in use ({error.strerror}): give another with --web-port"
@@ -70,6 +68,9 @@ def view(
 
 
 def _show_graph(path: Path, save: Path | None, open_browser: bool, web_port: int, grpc_port: int) -> None:
+    from ltm_core.site.site_io import load_site
+    from ltm_ros.launching.graph import Graph, ParameterValue, describe
+    from ltm_ros.launching.runner import Runner
     from ltm_ros.viewer.server import listens, web_url
 
     site = load_site(path)

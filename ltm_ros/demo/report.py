@@ -152,6 +152,31 @@ def bin_name(score: DepthScore) -> str:
     return f"> {score.near:,.0f} m" if math.isinf(score.far) else f"{score.near:,.0f}-{score.far:,.0f} m"
 
 
+def score_rows(scored: RunScore) -> list[tuple[str, str]]:
+    """Return the main scores in words: (name, value)."""
+    rows = [
+        (f"{row.source} depth, {bin_name(score)}, median error", f"{score.median:.2f} m")
+        for row in scored.depth
+        for score in row.scores
+        if row.against == "visible surface" and score.pixels
+    ]
+    if scored.labels is not None:
+        rows.append(("correct labels", f"{100 * scored.labels.accuracy:.1f} %"))
+    if (fuel := scored.fuel) is not None:
+        rows.append(("fuel cells seen", f"{fuel.seen} of {fuel.cells}"))
+        for name, one in (("", fuel), (", majority vote", scored.fuel_vote), (", prior alone", scored.fuel_prior)):
+            if one is not None:
+                share = 100 * one.right / max(1, one.seen)
+                rows.append((f"correct fuel cells{name}", f"{one.right} ({share:.1f} %)"))
+    if (changes := scored.fuel_changes) is not None:
+        for name, part in (
+            ("changed, detected", changes.found),
+            ("unchanged, changed by the map", changes.false_flips),
+        ):
+            rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
+    return rows
+
+
 def depth_table(score: RunScore) -> Table | None:
     """Return errors by source and range; None without depth."""
     rows = [
