@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -30,6 +30,7 @@ from ltm_ros.recordings.measured_network import measure_network
 
 _SHOWN = 12
 """Maximum number of unlabelled classes that are printed."""
+T = TypeVar("T")
 
 
 def models(
@@ -125,46 +126,42 @@ def _check(manifest: NetworkManifest, images: Path | None, out: Path) -> None:
     depth = manifest.output.is_depth
     run = partial(_depth, DepthNetwork(manifest)) if depth else partial(_labels, Segmenter(manifest))
     for path, photo in photos or [(Path("trial_scene"), _trial_scene())]:
-        run(photo)  # loads the network
-        start = time.perf_counter()
-        shown = run(photo)
-        milliseconds = (time.perf_counter() - start) * 1e3
         target = out / f"{path.stem}_{manifest.name}.jpg"
         target.parent.mkdir(parents=True, exist_ok=True)
-        text, picture = shown()
+        text, picture = run(photo)
         target.write_bytes(to_jpeg(picture))
-        say(f"{path.name} ({photo.shape[1]} x {photo.shape[0]}): {text}, {milliseconds:.0f} ms -> {target}")
+        say(f"{path.name} ({photo.shape[1]} x {photo.shape[0]}): {text} -> {target}")
 
 
-def _depth(network: DepthNetwork, photo: UInt8Array) -> Callable[[], tuple[str, UInt8Array]]:
-    """Run a depth network; return what describes and draws its result (red near, blue far)."""
-    found = network.predict(photo, Camera.from_fov(photo.shape[1], photo.shape[0], 50.0))
-
-    def shown() -> tuple[str, UInt8Array]:
-        known = found.values[np.isfinite(found.values)]
-        if not known.size:
-            raise ModelError(f"model {network.manifest.name!r}: no pixel has a depth; the network or its kind is wrong")
-        near = found.values if found.kind == "relative_inverse" else -found.values
-        ranks = np.searchsorted(np.sort(near[np.isfinite(near)]), near) / near.size * 255.0
-        large = cv2.resize(np.nan_to_num(ranks).astype(np.uint8), photo.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-        colors = cv2.applyColorMap(np.asarray(large, np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
-        return f"{found.kind} {known.min():.4g}..{known.max():.4g}", np.vstack([photo, colors])
-
-    return shown
+def _timed(predict: Callable[[], T]) -> tuple[T, str]:
+    """Run a network twice, because the first run loads it; return its result and the time of the second run."""
+    predict()
+    start = time.perf_counter()
+    return predict(), f"{(time.perf_counter() - start) * 1e3:.0f} ms"
 
 
-def _labels(segmenter: Segmenter, photo: UInt8Array) -> Callable[[], tuple[str, UInt8Array]]:
-    """Run a segmentation network; return what describes and draws its result."""
-    labels = segmenter.segment(photo).labels
+def _depth(network: DepthNetwork, photo: UInt8Array) -> tuple[str, UInt8Array]:
+    """Run a depth network; return its result in words and as a picture (red near, blue far)."""
+    found, spent = _timed(lambda: network.predict(photo, Camera.from_fov(photo.shape[1], photo.shape[0], 50.0)))
+    known = found.values[np.isfinite(found.values)]
+    if not known.size:
+        raise ModelError(f"model {network.manifest.name!r}: no pixel has a depth; the network or its kind is wrong")
+    near = found.values if found.kind == "relative_inverse" else -found.values
+    ranks = np.searchsorted(np.sort(near[np.isfinite(near)]), near) / near.size * 255.0
+    large = cv2.resize(np.nan_to_num(ranks).astype(np.uint8), photo.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    colors = cv2.applyColorMap(np.asarray(large, np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
+    return f"{found.kind} {known.min():.4g}..{known.max():.4g}, {spent}", np.vstack([photo, colors])
 
-    def shown() -> tuple[str, UInt8Array]:
-        shares = np.bincount(labels.ravel(), minlength=256) / labels.size
-        seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
-        legend = label_legend(photo.shape[1], segmenter.labels, seen)
-        text = ", ".join(f"{segmenter.labels.name_of(label)} {shares[label]:.0%}" for label in seen)
-        return text, with_legend(overlay_labels(photo, labels, segmenter.labels), legend)
 
-    return shown
+def _labels(segmenter: Segmenter, photo: UInt8Array) -> tuple[str, UInt8Array]:
+    """Run a segmentation network; return its result in words and as a picture."""
+    segmented, spent = _timed(lambda: segmenter.segment(photo))
+    labels = segmented.labels
+    shares = np.bincount(labels.ravel(), minlength=256) / labels.size
+    seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
+    legend = label_legend(photo.shape[1], segmenter.labels, seen)
+    text = ", ".join(f"{segmenter.labels.name_of(label)} {shares[label]:.0%}" for label in seen)
+    return f"{text}, {spent}", with_legend(overlay_labels(photo, labels, segmenter.labels), legend)
 
 
 def _trial_scene() -> UInt8Array:
