@@ -198,8 +198,6 @@ def _ptz(found: Found, given: dict[str, Any], web: dict[str, Any]) -> str:
 
 
 SNAPSHOT_EVERY_S = 10.0
-
-
 PLACE = ("lon", "lat", "height_above_ground", "azimuth_deg")
 
 

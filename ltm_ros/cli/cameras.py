@@ -116,10 +116,7 @@ def snapshot(
     files = [out / f"{stem}.jpg"] + ([] if frame.pose is None else [out / f"{stem}.yaml"])
     require_files(files, overwrite)
     out.mkdir(parents=True, exist_ok=True)
-    if frame.rgb is not None and frame.jpeg is None:
-        files[0].write_bytes(encode_rgb(frame.rgb, "jpeg", 95))
-    else:
-        files[0].write_bytes(frame.jpeg or b"")
+    files[0].write_bytes(frame.jpeg or b"" if frame.rgb is None else encode_rgb(frame.rgb, "jpeg", 95))
     say(f"taken {taken:%Y-%m-%d %H:%M:%S} UTC +- {frame.uncertainty:.2f} s, by {frame.told_by}")
     if (reading := frame.reading) is not None:
         say(f"PTZ head: pan {reading.pan_deg:.3f}, tilt {reading.tilt_deg:.3f}, zoom {reading.zoom:g}")

@@ -69,7 +69,7 @@ def init(
     if plan.expected_bytes > _ASK_FROM and not yes:
         typer.confirm(f"Fetch {plan.expected_bytes / 1e6:.0f} MB?", abort=True)
     with _ended_by_signals(), progress_bar("fetching, MB") as progress:
-        layers, said = carry_out(plan, lambda _, done, total: progress(done // 1_000_000, total // 1_000_000 + 1))
+        layers, said = carry_out(plan, lambda done, total: progress(done // 1_000_000, total // 1_000_000 + 1))
     for key, layer in layers.items():
         say(f"{key}: {layer.path} ({layer.described})")
     for remark in dict.fromkeys([*plan.remarks, *remarks, *said]):

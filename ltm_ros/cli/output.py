@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # rich takes 0.2 s to load, which `ltm --help` does not need
 Cell = str | tuple[str, str]  # a text, or a style of rich and the text
 Row = Sequence[Cell]
 
-
 Overwrite = Annotated[bool, Option("--overwrite", help="Overwrite existing files.")]
 _DEM = Option(metavar="FILE", help="Elevation raster; repeat for coarser surrounding ones.")
 Dems = Annotated[list[Path], _DEM]

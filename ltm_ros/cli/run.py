@@ -4,15 +4,12 @@ Each function imports what it needs: `run` must stay small in memory, and the ot
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
 
 from ltm_ros.cli.output import Domain, OnlyCameras
-
-if TYPE_CHECKING:
-    from ltm_ros.launching.graph import ParameterValue
 
 
 def region(config: Annotated[Path, Argument(help="Region file (YAML).")]) -> None:
@@ -66,7 +63,7 @@ def run(
 
     Prints every line of the nodes, and reports to systemd if that started it (NOTIFY_SOCKET).
     Errors that `ltm check` finds end it before any process starts: exit code 78 if the site file must be corrected."""
-    from ltm_ros.launching.graph import describe
+    from ltm_ros.launching.graph import ParameterValue, describe
     from ltm_ros.launching.kernels import compile_ahead
     from ltm_ros.launching.runner import Runner, print_line
     from ltm_ros.launching.service_manager import ServiceManager

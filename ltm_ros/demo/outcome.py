@@ -137,10 +137,8 @@ def write_pictures(
                 sheet.append((name, _over(depth, pictures.range_legend(800, scale, sky=False))))
         named = pictures.label_legend(800, labels, np.unique(frame.labels).tolist())
         sheet.append(("Labels", _over(pictures.overlay_labels(frame.photo, frame.labels, labels), named)))
-        file = f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png"
-        (folder / file).write_bytes(
-            pictures.to_png(pictures.panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800))
-        )
+        drawn = pictures.panel(sheet, columns=2 if len(sheet) == 4 else 3, width=800)
+        (folder / f"{frame.camera_name}_{frame.pose.angles_deg[0]:03.0f}.png").write_bytes(pictures.to_png(drawn))
         if frame is deepest:
             (folder / "overview.png").write_bytes(pictures.to_png(_overview(sheet, fuel_map, title)))
 

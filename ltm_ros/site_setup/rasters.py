@@ -142,14 +142,6 @@ def grid_over(bounds: Bounds, resolution: float, tiles: Sequence[Tile], crs: str
     return GridGeometry(x + left * resolution, y + up * resolution, resolution, right - left, up - down, crs)
 
 
-def interpolation_error(heights: Float32Array) -> float:
-    """Return the standard error of interpolated heights in metres: a quarter of the second differences, which is what
-    bilinear heights between cell centres are off on ground of the same roughness."""
-    bend = heights[:, 1:-1] - (heights[:, :-2] + heights[:, 2:]) / 2
-    bend = bend[np.isfinite(bend)]
-    return float(np.sqrt(np.mean(np.square(bend, dtype=np.float64)))) / 4 if bend.size else math.nan
-
-
 def resample(
     tiles: Sequence[Tile], grid: GridGeometry, datum: Datum | None, elevation: bool = True
 ) -> tuple[Float32Array, tuple[str, ...]]:

@@ -10,10 +10,10 @@ from pydantic import Field
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.strict_model import StrictModel
+from ltm_core.raster.dem import Bounds
 
 METRES_PER_DEGREE = 111_320.0
 """Length of a degree of longitude at the equator, and of latitude within 0.7 %."""
-
 
 Kind = Literal["dem", "coarser", "surface", "fuel"]
 """The rasters of a site, by their keys for `ltm init --update`."""
@@ -23,7 +23,7 @@ Kind = Literal["dem", "coarser", "surface", "fuel"]
 class Area:
     """A rectangle on the Earth: west, south, east and north, degrees."""
 
-    bounds_lonlat: tuple[float, float, float, float]
+    bounds_lonlat: Bounds
 
     def __post_init__(self) -> None:
         west, south, east, north = self.bounds_lonlat
@@ -60,18 +60,8 @@ class NoCoverageError(FetchError):
     """A source has no data in an area."""
 
 
-Bounds = tuple[float, float, float, float]
 Progress = Callable[[int, int], None]
 """Receives the bytes fetched so far and the bytes expected."""
-
-
-def no_progress(done: int, total: int) -> None:
-    """Ignore the progress."""
-
-
-def shifted(progress: Progress, done: int, total: int) -> Progress:
-    """Return the progress of one part, as that of a plan of `total` bytes of which `done` are fetched already."""
-    return lambda read, _: progress(done + read, total)
 
 
 class SourceConfig(StrictModel):

@@ -14,26 +14,23 @@ import rasterio
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import plain, redacted
+from ltm_core.raster.dem import Bounds
 from ltm_core.raster.raster_io import open_raster, read_band
 from ltm_ros.site_setup.request import (
     METRES_PER_DEGREE,
     Area,
-    Bounds,
     Fetched,
     FetchError,
     NoCoverageError,
     Part,
     Plan,
     Progress,
-    no_progress,
 )
 from ltm_ros.site_setup.source import Source, filled, list_in
 from ltm_ros.site_setup.web import check_room, digest, in_words, put_into
 
 _JOB_S = 1800.0
 """Time limit of a job, seconds."""
-_POLL_S = 5.0
-"""Pause between queries of its state, seconds."""
 _MOST_EXPANDED = 2 << 30
 """Maximum size of the rasters in an archive, bytes."""
 _ALMOST_ALL = 0.95
@@ -127,7 +124,8 @@ def _numbers(xml: str, name: str) -> list[float]:
 class LandfireSource(Source):
     """LANDFIRE's product service: a job is submitted, polled and downloaded as an archive of one raster."""
 
-    poll_s = _POLL_S
+    poll_s = 5.0
+    """Pause between queries of a job's state, seconds."""
 
     def _planned(self, area: Area) -> Plan:
         layers = self._layers(area)
@@ -156,7 +154,7 @@ class LandfireSource(Source):
         order = self.config.layers
         return {y: [ls[a] for a in order if a in ls] for y, ls in found.items() if len(ls) == most}
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
+    def fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         """Fetch the newer of two editions that knows almost all of the area, else the one that knows more.
 
         An edition is published region by region. Raises NoCoverageError, FetchError."""
@@ -203,7 +201,7 @@ class LandfireSource(Source):
         if url is None or remote is None:  # archives are deleted after some days
             noted.unlink(missing_ok=True)
             raise FetchError(f"{self.name}: the result of the job is gone from the server; run the command again")
-        return self.web.download(url, remote=remote, progress=progress)
+        return self.web.download(url, progress, remote=remote)
 
     def _finished(self, noted: Path) -> str | None:
         """Wait for a job, and return the address of its result; None if there is no such job. Raises FetchError."""

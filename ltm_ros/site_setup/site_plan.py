@@ -4,10 +4,9 @@ import fcntl
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from ltm_core.storage.disk_io import free_bytes, is_folder, is_there, require_fo
 from ltm_ros.site_setup.camera_list import CameraValues, check_cameras, section
 from ltm_ros.site_setup.layers import Layer, elevation_tiles, fine_tiles, local, write_dem, write_fuel, write_surface
 from ltm_ros.site_setup.rasters import Tile, tiles_of
-from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
+from ltm_ros.site_setup.request import Area, Kind, NoCoverageError, Progress
 from ltm_ros.site_setup.site_writer import change_site, free_name, site_text
 from ltm_ros.site_setup.source import Source
 from ltm_ros.site_setup.sources import Choice, choose
@@ -110,7 +109,7 @@ def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
     remarks = _check_places(cameras, fine)
     plan = SitePlan(wish, crs, (round(x, -3), round(y, -3)), [], remarks)
     _add_step(plan, "dem", fine, sources)
-    far = _around(fine, cameras)
+    far = _around(fine, list(cameras.values()))
     if not own or any(_beyond(tile, fine, crs) for tile in own):
         _add_step(plan, "coarser", far, sources, optional=True)
     else:
@@ -134,8 +133,7 @@ def _plan_change(wish: Wish, sources: Sequence[Source]) -> SitePlan:
         stored = tiles_of([site.dem.path])[0]
         stated = (camera.pose or camera.mount for camera in site.cameras.values())
         placed = [pose.xy(SiteFrame(site.crs)) for pose in stated if pose is not None]
-        cameras = {str(k): place for k, place in enumerate(placed) if place is not None}
-        far = _around(stored.bounds, cameras)
+        far = _around(stored.bounds, [place for place in placed if place is not None])
         _add_step(plan, wish.update, far if wish.update == "coarser" else stored.bounds, sources)
     return plan
 
@@ -173,10 +171,10 @@ def _check_places(cameras: Mapping[str, tuple[float, float]], fine: Bounds) -> l
     return remarks
 
 
-def _around(fine: Bounds, cameras: Mapping[str, tuple[float, float]]) -> Bounds:
+def _around(fine: Bounds, cameras: Sequence[tuple[float, float]]) -> Bounds:
     """Return the area that cameras may see: REACH around each of them, or around the middle of the fine DEM."""
     middle = ((fine[0] + fine[2]) / 2, (fine[1] + fine[3]) / 2)
-    xs, ys = zip(*(list(cameras.values()) or [middle]), strict=True)
+    xs, ys = zip(*(cameras or [middle]), strict=True)
     margin = 4 * _COARSE
     return (
         min(min(xs) - REACH, fine[0] - margin), min(min(ys) - REACH, fine[1] - margin),
@@ -211,12 +209,11 @@ def _add_step(plan: SitePlan, key: Kind, bounds: Bounds, sources: Sequence[Sourc
     plan.remarks += choice.plan.notes
 
 
-def carry_out(plan: SitePlan, progress: Callable[[str, int, int], None]) -> tuple[dict[str, Layer], list[str]]:
+def carry_out(plan: SitePlan, progress: Progress) -> tuple[dict[str, Layer], list[str]]:
     """Fetch, write the rasters and the site file; return the layers and remarks. A new site appears whole or not at
     all; a changed site names new files only when they are whole.
 
-    `progress`: gets the key of a raster, and the bytes fetched and expected. Raises ConfigError, RasterError,
-    FetchError."""
+    Raises ConfigError, RasterError, FetchError."""
     wish = plan.wish
     needed, free = plan.expected_bytes * 3, free_bytes(wish.out)
     if free < needed:
@@ -278,9 +275,7 @@ def _temporary(out: Path) -> Iterator[Path]:
         raise ConfigError(f"{out}: cannot be written ({error.strerror or error}); nothing was changed") from error
 
 
-def _layers(
-    plan: SitePlan, folder: Path, progress: Callable[[str, int, int], None]
-) -> tuple[dict[str, Layer], Datum | None]:
+def _layers(plan: SitePlan, folder: Path, progress: Progress) -> tuple[dict[str, Layer], Datum | None]:
     """Make the rasters in a folder; return them and the vertical datum of the site."""
     layers: dict[str, Layer] = {}
     site = plan.site
@@ -290,7 +285,7 @@ def _layers(
         if step.choice is not None:
             fetched = folder / "sources" / step.key
             fetched.mkdir(parents=True)
-            data = step.choice.fetch(fetched, partial(progress, step.key))
+            data = step.choice.fetch(fetched, progress)
         place = folder / _FILES[step.key]
         if step.key in ("dem", "coarser"):
             tiles = elevation_tiles(data)

@@ -14,21 +14,10 @@ import numpy as np
 from ltm_core.base.errors import RasterError
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.base.types import BoolArray
+from ltm_core.raster.dem import Bounds
 from ltm_core.raster.raster_io import open_raster, read_band
 from ltm_ros.site_setup.rasters import MOST_CELLS
-from ltm_ros.site_setup.request import (
-    Area,
-    Bounds,
-    Fetched,
-    FetchError,
-    NoCoverageError,
-    Part,
-    Plan,
-    Progress,
-    SourceConfig,
-    no_progress,
-    shifted,
-)
+from ltm_ros.site_setup.request import Area, Fetched, FetchError, NoCoverageError, Part, Plan, Progress, SourceConfig
 from ltm_ros.site_setup.web import Web, check_room, in_words, put_into
 from ltm_ros.site_setup.windows import fetch_window, plan_window
 
@@ -100,27 +89,31 @@ class Source:
         if reason:
             raise NoCoverageError(reason)
 
-    def fetch(self, plan: Plan, folder: Path, progress: Progress = no_progress) -> Fetched:
+    def fetch(self, plan: Plan, folder: Path, progress: Progress) -> Fetched:
         """Fetch a plan into `folder`; files appear there whole or not at all, and what is finished stays in the cache.
 
         A later part of the same tile is fetched only if the former ones have unknown cells. Raises NoCoverageError if
         every cell turns out to be unknown, as beyond a border; FetchError."""
-        files, used, done = [], [], 0
-        check_room(self.web.cache, plan.expected_bytes)
+        files, used, done, total = [], [], 0, plan.expected_bytes
+
+        def advance(read: int, _: int) -> None:
+            progress(done + read, total)
+
+        check_room(self.web.cache, total)
         lacking: dict[str, BoolArray] = {}  # cells by tile
         for part in plan.parts:
             before = lacking.get(part.tile)
             if before is None or before.any():
-                path, unknown = self._file(part, shifted(progress, done, plan.expected_bytes))
+                path, unknown = self._file(part, advance)
                 if not unknown.all():
                     files.append(put_into(folder, path, part.name))
                     used.append(part)
+                if before is not None and before.shape == unknown.shape:
+                    unknown = unknown & before
                 if part.tile:
-                    lacking[part.tile] = (
-                        unknown if before is None or before.shape != unknown.shape else before & unknown
-                    )
+                    lacking[part.tile] = unknown
             done += part.expected_bytes
-            progress(done, plan.expected_bytes)
+            progress(done, total)
         if not files:
             raise NoCoverageError("every cell is unknown (sea, or outside the survey); choose another source")
         return self._fetched(plan, files, used)
@@ -133,7 +126,7 @@ class Source:
         else:
             secret = {self.key_parameter: self.key} if self.key_parameter else {}
             most, sha256 = 4 * part.expected_bytes, self.config.sha256
-            path = self.web.download(part.url, secret, remote=part.remote, sha256=sha256, most=most, progress=progress)
+            path = self.web.download(part.url, progress, secret, remote=part.remote, sha256=sha256, most=most)
         try:
             with open_raster(path, driver="GTiff") as source:
                 return path, read_band(source, 1)[1]

@@ -10,17 +10,7 @@ from ltm_core.base.errors import ConfigError
 from ltm_core.base.resources import config_path
 from ltm_core.base.strict_model import StrictModel
 from ltm_core.storage.config_io import checked, read_yaml
-from ltm_ros.site_setup.request import (
-    Area,
-    Fetched,
-    FetchError,
-    Kind,
-    NoCoverageError,
-    Plan,
-    Progress,
-    SourceConfig,
-    no_progress,
-)
+from ltm_ros.site_setup.request import Area, Fetched, FetchError, Kind, NoCoverageError, Plan, Progress, SourceConfig
 from ltm_ros.site_setup.services import CoverageSource, LandfireSource, OpenTopographySource
 from ltm_ros.site_setup.source import NationalMapSource, Source, StacSource, TileSource, UrlSource
 from ltm_ros.site_setup.web import Web
@@ -72,7 +62,7 @@ class Choice:
     passed_over: Sequence[str]
     rest: Sequence[Source]
 
-    def fetch(self, folder: Path, progress: Progress = no_progress) -> Fetched:
+    def fetch(self, folder: Path, progress: Progress) -> Fetched:
         """Fetch the plan, or if every cell of it is unknown, that of the next source; `Fetched` names the source.
 
         Raises NoCoverageError, FetchError."""

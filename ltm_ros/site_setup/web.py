@@ -20,7 +20,7 @@ import httpx
 from ltm_core.base.redaction import plain, redacted
 from ltm_core.storage.disk_io import free_bytes
 from ltm_ros.runtime.retry import Backoff
-from ltm_ros.site_setup.request import FetchError, NoCoverageError, Progress, Remote, no_progress
+from ltm_ros.site_setup.request import FetchError, NoCoverageError, Progress, Remote
 
 TRIES = 5
 """Number of attempts at each request."""
@@ -170,12 +170,12 @@ class Web:
     def download(
         self,
         url: str,
+        progress: Progress,
         params: Mapping[str, str] | None = None,
         *,
         remote: Remote | None = None,
         sha256: str = "",
         most: int = MOST_BYTES,
-        progress: Progress = no_progress,
     ) -> Path:
         """Return the file of a URL in the cache, fetched whole. A download of a known `remote` continues where it
         stopped. Raises NoCoverageError, FetchError; a file with a wrong checksum is removed."""

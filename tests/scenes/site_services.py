@@ -333,3 +333,7 @@ def opened(path: Path) -> tuple[NDArray[Any], Any]:
     """Return the first band of a file, and its metadata."""
     with rasterio.open(path) as source:
         return source.read(1), source
+
+
+def silent(done: int, total: int) -> None:
+    """Ignore the progress."""

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import rasterio
-from scenes.site_services import KEY, LAYERS, SiteServices, area_around, geotiff, grid, opened
+from scenes.site_services import KEY, LAYERS, SiteServices, area_around, geotiff, grid, opened, silent
 
 from ltm_core.base.errors import ConfigError, LtmError
 from ltm_core.base.resources import project_path
@@ -55,7 +55,7 @@ def test_open_topography_delivers_heights_with_the_datum_of_the_record(
 ) -> None:
     monkeypatch.setenv("OPENTOPOGRAPHY_API_KEY", KEY)
     choice = choose("coarser", HERE, only("opentopography_cop30", services.loaded(tmp_path)))
-    fetched = choice.fetch(tmp_path / "out")
+    fetched = choice.fetch(tmp_path / "out", silent)
     values, about = opened(fetched.files[0])
     np.testing.assert_allclose(values, services.heights(*grid(*about.transform @ (0, 0), 1 / 3600, *about.shape[::-1])))
     west, south, east, north = HERE.bounds_lonlat
@@ -69,7 +69,7 @@ def test_landfire_job_gives_one_file_for_each_layer_on_its_own_grid(
     services: SiteServices, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
-    fetched = choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out")
+    fetched = choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out", silent)
     assert (fetched.source, fetched.year) == ("landfire", 2024)
     fetched_codes(fetched.files)
     (path,) = fetched.files
@@ -86,7 +86,7 @@ def test_the_newest_edition_that_is_complete_for_the_area_is_used(
 ) -> None:
     monkeypatch.setenv("LANDFIRE_EMAIL", "me@example.org")
     services.fuel_years = known
-    assert choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out").year == year
+    assert choose("fuel", HERE, services.loaded(tmp_path)).fetch(tmp_path / "out", silent).year == year
 
 
 def test_an_interrupted_job_is_continued_and_not_submitted_again(
@@ -98,15 +98,15 @@ def test_an_interrupted_job_is_continued_and_not_submitted_again(
     with monkeypatch.context() as soon:
         soon.setattr("ltm_ros.site_setup.services._JOB_S", 0.1)
         with pytest.raises(FetchError, match="not finished"):
-            choice.fetch(tmp_path / "out")
+            choice.fetch(tmp_path / "out", silent)
     services.job_states = ["Succeeded"]
-    fetched_codes(choice.fetch(tmp_path / "out").files)
+    fetched_codes(choice.fetch(tmp_path / "out", silent).files)
     assert services.count("/job/submit") == 1
 
 
 def test_without_an_address_fuels_come_from_the_coverage_service(services: SiteServices, tmp_path: Path) -> None:
     choice = choose("fuel", HERE, services.loaded(tmp_path))
-    fetched = choice.fetch(tmp_path / "out")
+    fetched = choice.fetch(tmp_path / "out", silent)
     assert fetched.source == "landfire_wcs"
     assert "LANDFIRE_EMAIL" in choice.plan.notes[0]
     assert [path.name for path in fetched.files] == [f"LF2024_{layer}_CONUS.tif" for layer in LAYERS]
@@ -121,7 +121,7 @@ def test_own_sources_come_first_and_replace_single_keys(services: SiteServices, 
     listed = services.loaded(tmp_path, mine=mine, copernicus_glo30={"year": 2021})
     assert listed[0].name == "mine"
     assert next(s for s in listed if s.name == "copernicus_glo30").year == 2021
-    fetched = choose("dem", HERE, listed).fetch(tmp_path / "out")
+    fetched = choose("dem", HERE, listed).fetch(tmp_path / "out", silent)
     assert (fetched.source, fetched.licence, fetched.vertical_crs) == ("mine", "mine", None)
     with rasterio.open(fetched.files[0]) as raster:
         assert raster.tags()["SOURCE"] == "mine"
@@ -180,7 +180,7 @@ def test_a_situation_is_a_clear_error_and_leaves_no_file(
     for kind, name, said in cases:
         if said:
             with pytest.raises(LtmError, match=said) as error:
-                choose(kind, HERE, only(name, listed)).fetch(tmp_path / "out")
+                choose(kind, HERE, only(name, listed)).fetch(tmp_path / "out", silent)
             assert KEY not in str(error.value)
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".zip") or path.parent.name == "out"]
 
@@ -317,10 +317,10 @@ def test_a_download_continues_where_it_broke_off(services: SiteServices, tmp_pat
     remote = web.remote(f"{services.url}/f")
     services.cut["/f"] = 2
     services.bytes_sent = 0
-    path = web.download(f"{services.url}/f", remote=remote)
+    path = web.download(f"{services.url}/f", silent, remote=remote)
     assert path.read_bytes() == PLAIN_FILE
     assert services.bytes_sent == len(PLAIN_FILE)
-    assert web.download(f"{services.url}/f", remote=remote) == path
+    assert web.download(f"{services.url}/f", silent, remote=remote) == path
     assert services.bytes_sent == len(PLAIN_FILE)
 
 
@@ -330,7 +330,7 @@ def test_a_file_with_a_wrong_checksum_is_not_kept(services: SiteServices, tmp_pa
             "resolution_m": 400, "sha256": "0" * 64}  # fmt: skip
     choice = choose("dem", HERE, services.loaded(tmp_path, mine=mine))
     with pytest.raises(FetchError, match="0000"):
-        choice.fetch(tmp_path / "out")
+        choice.fetch(tmp_path / "out", silent)
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".part")]
 
 
@@ -341,7 +341,7 @@ def test_a_disk_that_fills_up_while_it_is_written_is_a_clear_error(services: Sit
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
     try:
         with pytest.raises(FetchError, match="cache"):
-            web.download(f"{services.url}/f")
+            web.download(f"{services.url}/f", silent)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, handler)

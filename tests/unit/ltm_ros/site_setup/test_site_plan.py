@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 import rasterio
-from scenes.site_services import geotiff
+from scenes.site_services import geotiff, silent
 
 from ltm_core.base.errors import ConfigError, LtmError, RasterError
 from ltm_core.raster.dem import Dem
@@ -80,10 +80,6 @@ def makers() -> list[Any]:
         Maker("coarse", ["coarser"], 200.0),
         Maker("fuels", ["fuel"], 30.0, 2022),
     ]
-
-
-def silent(key: str, done: int, total: int) -> None:
-    """Ignore the progress."""
 
 
 def wish(out: Path, place: str = "California", **more: Any) -> Wish:

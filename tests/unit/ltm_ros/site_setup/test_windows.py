@@ -8,7 +8,7 @@ import pytest
 import rasterio
 from rasterio.io import MemoryFile
 from rasterio.warp import transform
-from scenes.site_services import SiteServices, area_around, geotiff, grid, opened
+from scenes.site_services import SiteServices, area_around, geotiff, grid, opened, silent
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.site_setup.request import Area, Kind, NoCoverageError
@@ -57,7 +57,7 @@ def test_windows_of_neighbouring_tiles_join_without_seam_and_shift(
         add_degree_tile(services, file, west, 35, overlap, shift)
     source = named(services, tmp_path, name, resolution_m=277.0)
     plan = source.plan(AREA)
-    fetched = source.fetch(plan, tmp_path / "out")
+    fetched = source.fetch(plan, tmp_path / "out", silent)
     cells: dict[tuple[int, int], float] = {}
     for path in fetched.files:
         values, about = opened(path)
@@ -98,7 +98,7 @@ def test_a_site_fetches_at_most_twice_the_bytes_that_it_uses(services: SiteServi
     for kind, area in cases:
         choice = choose(kind, area, listed)
         expected += choice.plan.expected_bytes
-        for path in choice.fetch(tmp_path / kind).files:
+        for path in choice.fetch(tmp_path / kind, silent).files:
             _, about = opened(path)
             west, south, east, north = about.bounds
             lon, lat = transform(about.crs, "EPSG:4326", [west, east], [south, north])
@@ -122,7 +122,7 @@ def test_an_older_file_of_a_tile_is_fetched_only_where_the_newer_one_has_holes(
         services.add_product(f"USGS_1M_11_{tile}_Old.tif", geotiff(ground, *place, nodata=-9999.0), "2012-05-01")
     source = named(services, tmp_path, "usgs_3dep_1m", resolution_m=30.0)
     area = Area((-118.06, 34.64, -117.93, 34.66))
-    fetched = source.fetch(source.plan(area), tmp_path / "out")
+    fetched = source.fetch(source.plan(area), tmp_path / "out", silent)
     assert [path.name[11:] for path in fetched.files] == ["x40y384_New.tif", "x41y384_New.tif", "x40y384_Old.tif"]
     assert fetched.year == 2023
 
@@ -145,7 +145,7 @@ def test_items_of_a_catalogue_of_several_pages_are_fetched(services: SiteService
         heights = plane(*grid(west, 35.0, STEP, 360, 360)).astype(np.float32)
         services.add_stac_item(f"{number}/dem.tif", geotiff(heights, "EPSG:4326", west, 35.0, STEP))
     source = named(services, tmp_path, "earth_search_glo30", resolution_m=277.0)
-    fetched = source.fetch(source.plan(AREA), tmp_path / "out")
+    fetched = source.fetch(source.plan(AREA), tmp_path / "out", silent)
     assert {path.name for path in fetched.files} == {"dem.tif", "1_dem.tif"}
     assert all(url.startswith(services.url) for url in fetched.urls)
 
@@ -168,7 +168,7 @@ def test_after_an_interruption_only_the_missing_blocks_are_fetched(
         source.fetch(plan, tmp_path / "out", interrupt)
     assert not (tmp_path / "out").exists()
     interrupted = services.bytes_sent
-    again = source.fetch(plan, tmp_path / "out")
+    again = source.fetch(plan, tmp_path / "out", silent)
     np.testing.assert_array_equal(opened(again.files[0])[0], noise[4:-4, 4:-4])
     assert services.bytes_sent - interrupted < 0.8 * plan.expected_bytes
     assert services.bytes_sent - before < 1.4 * plan.expected_bytes
@@ -197,7 +197,7 @@ def test_files_of_all_layouts_are_read(layout: str, services: SiteServices, tmp_
             sink.update_tags(AFTERWARDS="x" * 3000)
     services.files["/cog/GLO30_N34_00_W119.tif"] = path.read_bytes()
     source = named(services, tmp_path, "copernicus_glo30", resolution_m=154.0)
-    fetched = source.fetch(source.plan(Area((-118.699, 34.301, -118.301, 34.699))), tmp_path / "out")
+    fetched = source.fetch(source.plan(Area((-118.699, 34.301, -118.301, 34.699))), tmp_path / "out", silent)
     values, _ = opened(fetched.files[0])
     np.testing.assert_array_equal(values, noise[213:507, 213:507])
     with rasterio.open(fetched.files[0]) as raster:
@@ -212,11 +212,11 @@ def test_a_damaged_file_is_a_clear_error_and_is_fetched_again_next_time(services
     services.files[name] = whole[: len(whole) // 2] + bytes(len(whole) - len(whole) // 2)
     source = named(services, tmp_path, "copernicus_glo30", resolution_m=277.0)
     with pytest.raises(LtmError):
-        source.fetch(plan, tmp_path / "out")  # changed since it was planned
+        source.fetch(plan, tmp_path / "out", silent)  # changed since it was planned
     with pytest.raises(LtmError):
-        source.fetch(source.plan(area), tmp_path / "out")
+        source.fetch(source.plan(area), tmp_path / "out", silent)
     services.files[name] = whole
-    assert len(source.fetch(plan, tmp_path / "out").files) == 1
+    assert len(source.fetch(plan, tmp_path / "out", silent).files) == 1
 
 
 def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteServices, tmp_path: Path) -> None:
@@ -229,7 +229,7 @@ def test_sea_has_no_tile_and_unknown_cells_are_no_coverage(services: SiteService
             unknown, "EPSG:4326", -west, 35.0, STEP, nodata=-9999.0
         )
     with pytest.raises(NoCoverageError):
-        source.fetch(source.plan(AREA), tmp_path / "out")
+        source.fetch(source.plan(AREA), tmp_path / "out", silent)
     assert not (tmp_path / "out").exists()
 
 
@@ -241,10 +241,10 @@ def test_an_area_beyond_the_border_gets_its_heights_from_the_next_source(
     area = area_around(-118.5, 34.5, 8000.0)
     listed = services.loaded(tmp_path)
     with pytest.raises(NoCoverageError, match="usgs_3dep_10m is not used"):
-        choose("dem", area, listed).fetch(tmp_path / "out")
+        choose("dem", area, listed).fetch(tmp_path / "out", silent)
     add_degree_tile(services, "GLO30_N34_00_W119", -119, 35, 0, 0.0)
     choice = choose("dem", area, services.loaded(tmp_path))
-    fetched = choice.fetch(tmp_path / "out")
+    fetched = choice.fetch(tmp_path / "out", silent)
     assert (choice.source.name, fetched.source) == ("usgs_3dep_10m", "copernicus_glo30")
     assert fetched.vertical_crs == "EPSG:3855"
 
@@ -272,7 +272,7 @@ def test_a_file_server_that_fails_is_a_clear_error_and_leaves_nothing(
     else:
         services.statuses["/cog/"] = [503] * 10_000
     with pytest.raises(LtmError):
-        source.fetch(source.plan(area), tmp_path / "out")
+        source.fetch(source.plan(area), tmp_path / "out", silent)
     assert not (tmp_path / "out").exists()
     assert not list((tmp_path / "cache").glob("*.tif"))
 
@@ -283,7 +283,7 @@ def test_a_file_server_that_fails_a_few_times_is_asked_again(services: SiteServi
     services.statuses["/cog/"], services.retry_after = [503, 429], "0"
     plan = source.plan(area_around(-118.5, 34.5, 8000.0))
     services.cut["/cog/"] = 1
-    (path,) = source.fetch(plan, tmp_path / "out").files
+    (path,) = source.fetch(plan, tmp_path / "out", silent).files
     values, about = opened(path)
     assert values[0, 0] == pytest.approx(plane(*(about.transform * (0.5, 0.5))), abs=1e-4)
 
@@ -299,7 +299,7 @@ def test_web_map_tiles_have_the_names_and_values_of_their_places(services: SiteS
     lon, lat = transform("EPSG:3857", "EPSG:4326", [west + 490 * step], [north - 256 * step])
     source = named(services, tmp_path, "meta_canopy_1m", resolution_m=76.0)
     area = area_around(lon[0], lat[0], 1500.0)
-    fetched = source.fetch(source.plan(area), tmp_path / "out")
+    fetched = source.fetch(source.plan(area), tmp_path / "out", silent)
     values, about = opened(fetched.files[0])
     assert set(np.unique(values)) == {7, 255}
     assert (about.nodata, fetched.above_ground, fetched.vertical_crs) == (255, True, None)
