@@ -192,10 +192,10 @@ def fire(
     with working("") as status:
         result = run_fires(pair, scenario, status.update)
     write_results(out, pair, scenario, result)
-    rows = []
-    for area in result.effect.areas():
-        change = difference(area.before, area.after)
-        rows.append((f"{area.hours:g}", number(area.before), number(area.after), change))
+    rows = [
+        (f"{area.hours:g}", number(area.before), number(area.after), difference(area.before, area.after))
+        for area in result.effect.areas()
+    ]
     title = f"hectares burned; {result.model}; {scenario.wind.described()}; {scenario.moisture.described()}"
     columns = (">hours", ">before", ">after", ">difference")
     print_table(title, columns, rows)

@@ -136,8 +136,7 @@ def _print_plan(site: SitePlan) -> None:
             rows.append((step.key, ", ".join(map(str, step.own)), "", "", "", ""))
         else:
             source, plan = step.choice.source, step.choice.plan
-            year, size = plan.year, f"{plan.expected_bytes / 1e6:.1f} MB"
-            cells = f"{source.resolution_m:g} m"
-            rows.append((step.key, source.name, cells, "" if year is None else str(year), size, source.licence))
+            cells, size = f"{source.resolution_m:g} m", f"{plan.expected_bytes / 1e6:.1f} MB"
+            rows.append((step.key, source.name, cells, str(plan.year or ""), size, source.licence))
     total = f"{site.crs}; {site.expected_bytes / 1e6:.1f} MB to fetch"
     print_table(total, ("raster", "source", ">cells", ">year", ">size", "licence"), rows)

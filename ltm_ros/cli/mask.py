@@ -132,10 +132,8 @@ def _line(mask: str, view: ViewMask | None) -> str:
 
 
 def _kept(keep: str, count: int) -> list[bool]:
-    if keep in ("", "all"):
-        return [True] * count
-    if keep == "none":
-        return [False] * count
+    if keep in ("", "all", "none"):
+        return [keep != "none"] * count
     try:
         numbers = {int(part) for part in keep.split(",")}
     except ValueError as error:

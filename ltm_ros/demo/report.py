@@ -169,10 +169,8 @@ def score_rows(scored: RunScore) -> list[tuple[str, str]]:
                 share = 100 * one.right / max(1, one.seen)
                 rows.append((f"correct fuel cells{name}", f"{one.right} ({share:.1f} %)"))
     if (changes := scored.fuel_changes) is not None:
-        for name, part in (
-            ("changed, detected", changes.found),
-            ("unchanged, changed by the map", changes.false_flips),
-        ):
+        parts = {"changed, detected": changes.found, "unchanged, changed by the map": changes.false_flips}
+        for name, part in parts.items():
             rows.append((f"fuel cells {name}", f"{part.count} of {part.of} ({100 * part.value:.1f} %)"))
     return rows
 

@@ -101,8 +101,7 @@ def plan_site(wish: Wish, sources: Sequence[Source]) -> SitePlan:
     frame = SiteFrame(crs)
     x, y = map(float, frame.from_lonlat(lon, lat))
     fine = (x - wish.radius, y - wish.radius, x + wish.radius, y + wish.radius)
-    problem = scale_problem(crs, GridGeometry(fine[0], fine[3], wish.radius, 2, 2, crs))
-    if problem:
+    if problem := scale_problem(crs, GridGeometry(fine[0], fine[3], wish.radius, 2, 2, crs)):
         raise ConfigError(f"--crs {crs}: {problem}")
     places = {camera.ros_name: frame.from_lonlat(camera.lon, camera.lat) for camera in wish.cameras}
     cameras = {name: (float(cx), float(cy)) for name, (cx, cy) in places.items()}

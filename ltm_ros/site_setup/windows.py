@@ -59,9 +59,8 @@ def plan_window(remote: Remote, area: Area, name: str, tile: str, web: Web) -> P
             window = window_of(source, area)
             size = 0 if window is None else sum(last - first for first, last in _block_ranges(source, window))
         path.unlink()
-    return (
-        None if window is None else Part(remote.url, name, size + min(_HEADER_BYTES, remote.size), remote, window, tile)
-    )
+    size += min(_HEADER_BYTES, remote.size)
+    return None if window is None else Part(remote.url, name, size, remote, window, tile)
 
 
 def window_of(source: Any, area: Area) -> Window | None:
