@@ -40,8 +40,7 @@ class Layer:
 
 def local(paths: Sequence[Path]) -> Fetched:
     """Return the user's own files in the form of fetched ones."""
-    names = ", ".join(path.name for path in paths)
-    return Fetched(tuple(paths), names, "", None, None, ())
+    return Fetched(tuple(paths), ", ".join(path.name for path in paths), "", None, None, ())
 
 
 def elevation_tiles(data: Fetched) -> list[Tile]:
