@@ -13,7 +13,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose, checked_covariance
 from ltm_core.raster.dem import Dem
-from ltm_core.visibility.footprint import arrival_directions
+from ltm_core.visibility.footprint import arrival_directions, ground_normals
 
 _LEAST_FACING = 0.02
 """Sine of about 1 degree, the flattest line of sight; flatter ones would give infinities to first order."""
@@ -94,15 +94,6 @@ def cell_visibility(
             row = np.concatenate([g, np.cross(lever, g)], axis=1)
             sigmas[k] = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", row, matrix, row), 0))
     return CellVisibility(*(np.asarray(c, np.float32) for c in (cosine, footprint, *sigmas, bearing)))
-
-
-def ground_normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
-    """Return the upward unit normals (N, 3) of the ground over `half` metres each way; NaN where a height is
-    unknown."""
-    east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
-    north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
-    length = np.sqrt(1 + east**2 + north**2)
-    return np.column_stack([-east / length, -north / length, 1 / length])
 
 
 @dataclass(frozen=True, eq=False)

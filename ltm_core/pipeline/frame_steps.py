@@ -19,7 +19,7 @@ from ltm_core.base.types import BoolArray, Float32Array, Float64Array, UInt8Arra
 from ltm_core.fuel.label_errors import known_errors
 from ltm_core.fuel.life_form import WATER_STEEPEST_DEG, GroundLimits
 from ltm_core.fuel.vote_columns import fitting
-from ltm_core.fuel.votes import CellVotes, VoteCaster, ground_normals
+from ltm_core.fuel.votes import CellVotes, VoteCaster
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
@@ -30,6 +30,7 @@ from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
 from ltm_core.tracing import TerrainTracer
+from ltm_core.visibility.footprint import ground_normals
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.masks import Looking
 from ltm_core.vision.scene_view import SceneView

@@ -72,7 +72,6 @@ def _votes(site: Site) -> None:
     from ltm_core.fuel.votes import VoteCaster
     from ltm_core.pipeline.pose_watch import contradicted_share
     from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-    from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
     from ltm_core.raster.dem import Dem
     from ltm_core.vision.labels import Label, LabelSet
 
@@ -84,7 +83,7 @@ def _votes(site: Site) -> None:
     nothing = np.full(labels.shape, np.nan, np.float32)
     caster = VoteCaster(flat.geometry, flat, classes.votes_table[: len(classes)], site.fuel.max_range, site.bend, None)
     caster.cast(nothing, camera, pose, labels, 0, "any", labels, None)
-    contradicted_share(labels, camera, pose, SearchTerrain(flat, 0.0), PicturePoseConfig())
+    contradicted_share(labels, camera, pose, SearchTerrain(flat, 0.0))
 
 
 def _fuel_map(site: Site) -> None:

@@ -12,7 +12,6 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.pipeline.site_surface import site_terrain
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.site.site import Site
@@ -58,7 +57,7 @@ class PoseWatch:
             return
         if covariance is not None and not np.sqrt(np.diag(covariance)[3:].max()) <= _MOST_ANGLE_SIGMA:
             return
-        share = contradicted_share(labels, camera, pose, *site_terrain(self._site))
+        share = contradicted_share(labels, camera, pose, site_terrain(self._site))
         if share is None:
             return
         self._last_ns = stamp_ns
@@ -74,9 +73,7 @@ class PoseWatch:
             self.reason = ""
 
 
-def contradicted_share(
-    labels: UInt8Array, camera: Camera, pose: Pose, terrain: SearchTerrain, config: PicturePoseConfig
-) -> float | None:
+def contradicted_share(labels: UInt8Array, camera: Camera, pose: Pose, terrain: SearchTerrain) -> float | None:
     """Return the share of the columns whose skyline contradicts the terrain; None for an image without a clear skyline,
     and for a camera beside the DEM or under its ground, which the tracer reports."""
     sky = np.where(labels == np.uint8(Label.SKY), np.uint8(255), np.uint8(0))
@@ -89,7 +86,7 @@ def contradicted_share(
         horizon = terrain.horizon_for(evidence.camera, prior)
     except PoseError:
         return None
-    rows = skyline_observations(pose, evidence.camera, PoseProblem(evidence, horizon, prior, config), 1.0)
+    rows = skyline_observations(pose, evidence.camera, PoseProblem(evidence, horizon, prior), 1.0)
     if rows is None:
         return None
     limit = np.maximum(_SIGMAS * rows.sigma, _LEAST * evidence.camera.fy)

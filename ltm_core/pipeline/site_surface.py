@@ -17,7 +17,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CANOPY_SURFACE
 from ltm_core.raster.dem_stack import shared
 from ltm_core.site.networks import site_label_errors
 from ltm_core.site.site import Site
@@ -188,13 +188,8 @@ def mount_terms(site: Site, camera: str, seen: Camera | None) -> str:
     return hashlib.sha256(json.dumps([stated, ground, lens], sort_keys=True).encode()).hexdigest()
 
 
-def site_terrain(site: Site) -> tuple[SearchTerrain, PicturePoseConfig]:
-    """Return the site's ground with the tops of trees if it has a surface raster, and the constants that fit it.
-
-    Raises DemError as `Site.open_dem`."""
+def site_terrain(site: Site) -> SearchTerrain:
+    """Return the site's ground, with the tops of trees if it has a surface raster. Raises as `Site.open_dem`."""
     bare = site.open_dem()
     ground = site.open_surface(bare)
-    config = PicturePoseConfig()
-    if ground is not bare:
-        config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
-    return SearchTerrain(ground, site.bend, site.possible_ground), config
+    return SearchTerrain(ground, site.bend, site.possible_ground, BARE_EARTH if ground is bare else CANOPY_SURFACE)

@@ -9,21 +9,13 @@ from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 
 
-def ground_normals(dem: Dem, x: Float64Array, y: Float64Array) -> Float64Array:
-    """Return the upward unit normals (..., 3) of the ground at map points, from height differences over one cell, or
-    over half of one where the other half is unknown; NaN where neither is known."""
-    half = dem.geometry.resolution / 2
-    here = dem.elevation_at(x, y)
-    east = _slope(dem.elevation_at(x - half, y), here, dem.elevation_at(x + half, y), half)
-    north = _slope(dem.elevation_at(x, y - half), here, dem.elevation_at(x, y + half), half)
-    normals = np.stack([-east, -north, np.ones_like(east)], axis=-1)
-    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True), np.float64)
-
-
-def _slope(before: Float64Array, here: Float64Array, after: Float64Array, step: float) -> Float64Array:
-    whole = (after - before) / (2 * step)
-    half = np.where(np.isnan(after), here - before, after - here) / step
-    return np.where(np.isnan(whole), half, whole)
+def ground_normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
+    """Return the upward unit normals (..., 3) of the ground over `half` metres each way; NaN where a height is
+    unknown."""
+    east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
+    north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
+    length = np.sqrt(1 + east**2 + north**2)
+    return np.stack([-east / length, -north / length, 1 / length], axis=-1)
 
 
 def arrival_directions(position: Float64Array, points: Float64Array, bend: float) -> Float64Array:

@@ -91,7 +91,7 @@ def viewshed(
         canopy = np.zeros(len(places)) if ground is None else places[:, 2] - ground.elevation_at(x[known], y[known])
         canopy = np.maximum(np.nan_to_num(canopy), 0.0)
         target = np.maximum(target_height - canopy, 0.0)
-        normals = ground_normals(sight.dem, places[:, 0], places[:, 1])
+        normals = ground_normals(sight.dem, places[:, 0], places[:, 1], sight.dem.geometry.resolution / 2)
         seen_by = np.zeros(len(places), np.int16)
         best, lowest = np.full(len(places), np.inf), np.full(len(places), np.inf)
         for view in views:

@@ -90,7 +90,7 @@ class PhotoIndex:
         if np.isnan(parts).any() or np.isnan(edge).any():
             return []
         middle = parts[len(parts) // 2]
-        normal = ground_normals(self._ground, middle[0], middle[1])
+        normal = ground_normals(self._ground, middle[0], middle[1], self._ground.geometry.resolution / 2)
         visible = self._visible(parts)
         found = []
         for shot in self._shots:

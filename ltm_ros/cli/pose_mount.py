@@ -131,7 +131,7 @@ def _from_points(
 
 def _from_photos(ptz: StatedMount, photos: Path) -> MountModel:
     """Fit the mount to skylines of presets, with the site's labels and mask. Raises PoseError if they are too few."""
-    terrain, config = site_terrain(ptz.site)
+    terrain = site_terrain(ptz.site)
     segmenter, scene = site_segmenter(ptz.site, ptz.camera), site_scene_filter(ptz.site, ptz.camera)
     azimuth, pitch, roll, tilt_zero = ptz.config.angle_sigmas_deg
     place, height = ptz.config.position_sigma or 0.0, ptz.config.height_sigma or 0.0
@@ -149,8 +149,8 @@ def _from_photos(ptz: StatedMount, photos: Path) -> MountModel:
             raise ImageError(f"{file}: {doubt}")
         priors.append(PosePrior(pose, azimuth, pitch, roll, place, height))
         evidence = picture_evidence(photo, labels, camera, view.hidden)
-        searches.append(find_pose(evidence, terrain, widened(priors[-1], tilt_zero), config))
-    fit = fit_mount(priors, searches, config, tilt_zero)
+        searches.append(find_pose(evidence, terrain, widened(priors[-1], tilt_zero)))
+    fit = fit_mount(priors, searches, tilt_zero)
     if fit.word != "accepted":
         raise PoseError(
             f"these {len(priors)} photos do not determine the mount: {fit.word} ({fit.reason}). Take more presets "

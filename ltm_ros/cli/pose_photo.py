@@ -19,7 +19,7 @@ from ltm_core.pose_estimation.lens import LensPrior
 from ltm_core.pose_estimation.mount.mount_fit import fit_mount
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose, find_pose_and_lens
-from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CANOPY_SURFACE, CrestCover
 from ltm_core.pose_estimation.skyline.picture_pose_io import (
     PoseResult,
     SearchSetup,
@@ -100,12 +100,11 @@ def photo(
     if set(chosen) - {"focal", "position"}:
         raise ConfigError(f"--free {free}: a skyline fits focal, position and lens")
     guesses = _guesses_of(photo, guess) if many else {photo: load_yaml(guess, GuessConfig)}
-    skyline = SkylineConfig(cover=CANOPY_SURFACE) if canopy else SkylineConfig()
     search = _PhotoSearch(
         open_dems(dem, crs),
         Segmenter.open(model or DEFAULT_MODEL) if labels is None else labels,
         SceneFilter(None if mask is None else MaskMaker(mask, "--mask")),
-        PicturePoseConfig(skyline=skyline),
+        CANOPY_SURFACE if canopy else BARE_EARTH,
         FOCAL_SIGMA if "focal" in chosen else 0.0,
         "position" in chosen,
     )
@@ -163,14 +162,14 @@ class _PhotoSearch:
     dem: Dem
     source: Segmenter | Path
     scene: SceneFilter
-    config: PicturePoseConfig
+    cover: CrestCover
     focal_sigma: float
     free_position: bool
 
     def find(self, file: Path, guess: GuessConfig, lens: str | None, camera: Camera | None = None) -> FoundPhoto:
         """Search the pose of a photo. `lens`: kind of lens whose focal length and k1 are fitted; `camera`: replaces
         that of the guess."""
-        setup = set_up_search(guess, self.dem)
+        setup = set_up_search(guess, self.dem, self.cover)
         setup = setup if camera is None else replace(setup, camera=camera)
         prior = setup.prior
         if self.free_position and prior.position_sigma == 0:
@@ -191,9 +190,9 @@ class _PhotoSearch:
         found = setup.camera
         if lens is not None:
             known = LensPrior.of(lens, found)
-            search, found = find_pose_and_lens(evidence_of, found, setup.terrain, prior, known, self.config)
+            search, found = find_pose_and_lens(evidence_of, found, setup.terrain, prior, known)
         else:
-            search = find_pose(evidence_of(found), setup.terrain, prior, self.config, self.focal_sigma)
+            search = find_pose(evidence_of(found), setup.terrain, prior, self.focal_sigma)
         verdict = search.verdict
         result = result_of(search, prior, found if verdict.word == "accepted" else setup.camera)
         spent = time.process_time() - begin
@@ -202,7 +201,7 @@ class _PhotoSearch:
     def as_one_mount(self, found: list[FoundPhoto]) -> list[FoundPhoto]:
         """Return the photos with the poses that one correction of all of them gives."""
         priors, searches = [f.setup.prior for f in found], [f.search for f in found]
-        fit = fit_mount(priors, searches, self.config, focal_sigma=self.focal_sigma)
+        fit = fit_mount(priors, searches, focal_sigma=self.focal_sigma)
         accepted = fit.word == "accepted"
         results = []
         for k, f in enumerate(found):

@@ -41,10 +41,9 @@ class PoseHandler(JoiningHandler[PoseKeepingConfig]):
         self._scene = site_scene_filter(site, config.camera)
         if site.refine_poses is None:
             raise ConfigError(f"{config.site}: the node `pose` needs a section `refine_poses`")
-        terrain, self._search = site_terrain(site)
         mount = site.camera(config.camera).mount
         tilt_zero_sigma = 0.0 if mount is None else mount.angle_sigmas_deg[3]
-        self._watch = MountWatch(terrain, site.refine_poses, self._search, tilt_zero_sigma)
+        self._watch = MountWatch(site_terrain(site), site.refine_poses, tilt_zero_sigma)
         self._assumed = site.assumed_pose_error.covariance()
         self._site, self._terms = site, ""
         folder = config.beside_site(config.folder)

@@ -20,7 +20,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, matrix_of_vector, nearest_vector, pose_covariance, vector_of_matrix
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, ridge_gain, ridge_strength
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch
-from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import MOUNT_FLOOR_DEG, Criteria
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Word, mean_about_best
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
@@ -53,18 +53,18 @@ class MountPicture:
         stated, up = self.prior.pose, matrix_of_vector([state[6], 0.0, 0.0])
         return turned(Pose(stated.position, stated.rotation @ up), state[3:6], state[:3])
 
-    def problem(self, config: PicturePoseConfig) -> PoseProblem:
-        return PoseProblem(self.search.evidence, self.search.horizon, self.prior, config)
+    def problem(self) -> PoseProblem:
+        return PoseProblem(self.search.evidence, self.search.horizon, self.prior)
 
     def camera(self, state: Float64Array) -> Camera:
         """Return the camera with a correction (8,)."""
         return self.search.evidence.camera.zoomed(math.exp(float(state[7])))
 
 
-def skylines_at(pictures: list[MountPicture], state: Float64Array, config: PicturePoseConfig) -> SkylineFit:
+def skylines_at(pictures: list[MountPicture], state: Float64Array) -> SkylineFit:
     """Return the median fit of the skylines of images to the terrain's; without any skyline, all fit."""
     fits = [
-        skyline_fit(p.pose(state), p.camera(state), p.problem(config))
+        skyline_fit(p.pose(state), p.camera(state), p.problem())
         for p in pictures
         if p.search.evidence.skyline is not None
     ]
@@ -86,7 +86,6 @@ def judge_mount(
     turns_deg: Float64Array,
     gap: float,
     away: float,
-    config: VerdictConfig,
 ) -> tuple[Word, str]:
     """Return the verdict and its reason. `found`: poses of the images with the correction. `seen`: fit of their
     skylines to the terrain's. `turns_deg` (3,): sigmas of its rotation about the map's axes. `gap`: additional cost of
@@ -97,24 +96,24 @@ def judge_mount(
         for p, pose in zip(pictures, found, strict=True)
         if (verdict := p.search.verdict).word == "accepted"
     ]
-    off = max((apart for apart, v in alone if max(v.sigma_deg) <= config.mount_sharp_deg), default=0.0)
-    agree = len(alone) > 1 and max(apart for apart, _ in alone) <= config.mount_apart_deg
+    off = max((apart for apart, v in alone if max(v.sigma_deg) <= Criteria.mount_sharp_deg), default=0.0)
+    agree = len(alone) > 1 and max(apart for apart, _ in alone) <= Criteria.mount_apart_deg
     if any(p.search.evidence.skyline is not None for p in pictures):
-        least = config.gap_asked(seen.veiled, seen.variance)
+        least = Criteria.gap_asked(seen.veiled, seen.variance)
     else:  # more if only ridges are used, as for an image
         planted = float(np.median([p.search.evidence.plants for p in pictures])) >= MANY_PLANTS
-        least = config.plants_gap if planted else config.ridges_gap
-    if turns_deg.max() > config.most_sigma_deg or turns_deg[2] > config.mount_azimuth_sigma_deg:
+        least = Criteria.plants_gap if planted else Criteria.ridges_gap
+    if turns_deg.max() > Criteria.most_sigma_deg or turns_deg[2] > Criteria.mount_azimuth_sigma_deg:
         return "ambiguous", f"the images determine the mount only to {turns_deg.max():.2f} deg"
     if gap < least:
         return "ambiguous", f"another azimuth of the mount costs {gap:.1f} more only"
-    if seen.support < config.least_support:
+    if seen.support < Criteria.least_support:
         return "ambiguous", f"only {seen.support:.0%} of the images' skylines fits the terrain's"
-    if off > config.mount_apart_deg:
+    if off > Criteria.mount_apart_deg:
         return "ambiguous", f"an image accepted by itself is {off:.1f} deg from the mount's pose"
-    if seen.open > config.open_share and not agree:
+    if seen.open > Criteria.open_share and not agree:
         return "ambiguous", "land beyond the DEM may resemble its horizon, and no two images alone agree on the mount"
-    if away > config.contradiction:
+    if away > Criteria.contradiction:
         return "contradicts_prior", f"the mount is {away:.1f} sigmas from its stated pose"
     return "accepted", f"{len(pictures)} images agree"
 
@@ -150,7 +149,6 @@ class MountFit:
 def fit_mount(
     priors: Sequence[PosePrior],
     searches: Sequence[PictureSearch],
-    config: PicturePoseConfig = PicturePoseConfig(),
     tilt_zero_sigma_deg: float = TILT_ZERO_SIGMA_DEG,
     focal_sigma: float = 0.0,
 ) -> MountFit:
@@ -173,41 +171,39 @@ def fit_mount(
         poses, none = tuple(p.prior.pose for p in pictures), np.zeros(3)
         reason = "no image shows a skyline or a ridge of the DEM"
         return MountFit(none, 0.0, none, np.diag(sigma[:7] ** 2), poses, poses, "no_skyline", reason, 0.0, math.inf)
-    starts.sort(key=lambda state: _cost(pictures, state, sigma, config))
-    refined = [_refined(pictures, start, sigma, config) for start in _apart(starts)]
-    fits = sorted(((_cost(pictures, state, sigma, config), state, c) for state, c in refined), key=lambda fit: fit[0])
+    starts.sort(key=lambda state: _cost(pictures, state, sigma))
+    refined = [_refined(pictures, start, sigma) for start in _apart(starts)]
+    fits = sorted(((_cost(pictures, state, sigma), state, c) for state, c in refined), key=lambda fit: fit[0])
     least, best, covariance = fits[0]
     for _, state, _ in fits[1:]:
         # Turns of half a circle to the right and to the left are one, and so is their mean.
         state[3:6] = nearest_vector(state[3:6], best[3:6])
-    v = config.verdict
-    others = (cost - least for cost, state, _ in fits if abs(state[5] - best[5]) > math.radians(v.alternative_deg))
+    others = (
+        cost - least for cost, state, _ in fits if abs(state[5] - best[5]) > math.radians(Criteria.alternative_deg)
+    )
     gap, states = next(others, math.inf), np.array([state for _, state, _ in fits])
-    variance = skylines_at(pictures, best, config).variance
-    mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, variance, v)
+    variance = skylines_at(pictures, best).variance
+    mean, spread = mean_about_best([cost for cost, *_ in fits], states[:, 5], states, variance)
     covariance = covariance + spread
     found = tuple(p.pose(mean) for p in pictures)
     away = float((np.abs(_deviation(mean)[3:]) / np.where(sigma[3:] > 0, sigma[3:], np.inf)).max())
     turns = np.degrees(np.sqrt(np.diag(covariance)[3:6]))
-    word, reason = judge_mount(pictures, found, skylines_at(pictures, mean, config), turns, gap, away, v)
+    word, reason = judge_mount(pictures, found, skylines_at(pictures, mean), turns, gap, away)
     poses = found if word == "accepted" else tuple(p.prior.pose for p in pictures)
-    cost, focal_off = _cost(pictures, mean, sigma, config), math.sqrt(covariance[7, 7])
+    cost, focal_off = _cost(pictures, mean, sigma), math.sqrt(covariance[7, 7])
     told = covariance[:7, :7], poses, found, word, reason, gap, cost, math.exp(mean[7]), focal_off
     return MountFit(mean[3:6], float(mean[6]), mean[:3], *told)
 
 
 def fit_ptz_mount(
-    priors: Sequence[PosePrior],
-    searches: Sequence[PictureSearch],
-    config: PicturePoseConfig,
-    tilt_zero_sigma_deg: float,
+    priors: Sequence[PosePrior], searches: Sequence[PictureSearch], tilt_zero_sigma_deg: float
 ) -> MountFit:
     """Fit a PTZ mount, with the zero of its tilt axis if it lowers the cost by what three sigmas do and is itself
     significant by three sigmas; no image's direction is then more certain than without it."""
-    plain = fit_mount(priors, searches, config, tilt_zero_sigma_deg=0.0)
+    plain = fit_mount(priors, searches, tilt_zero_sigma_deg=0.0)
     if tilt_zero_sigma_deg == 0:
         return plain
-    ptz = fit_mount(priors, searches, config, tilt_zero_sigma_deg)
+    ptz = fit_mount(priors, searches, tilt_zero_sigma_deg)
     # A floor of pitch is in the mount's rotation, once for each image's pose; the zero by itself has it, too.
     sigma = math.hypot(math.sqrt(ptz.covariance[6, 6]), math.radians(MOUNT_FLOOR_DEG[1]))
     if ptz.word != "accepted" or abs(ptz.tilt_zero) < _SURE * sigma or plain.cost - ptz.cost < _SURE**2 / 2:
@@ -248,20 +244,20 @@ def _deviation(state: Float64Array) -> Float64Array:
     return np.array([*state[:3], -tipped[1], tipped[0], *state[5:]])
 
 
-def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array, config: PicturePoseConfig) -> float:
+def _cost(pictures: list[MountPicture], state: Float64Array, sigma: Float64Array) -> float:
     """Return the cost of a state (8,): shift, rotation, tilt zero, logarithm of the focal length."""
     away = _deviation(state) / np.where(sigma > 0, sigma, np.inf)
     total = 0.5 * float(away @ away)
     for p in pictures:
         pose, camera = p.pose(state), p.camera(state)
-        cost = skyline_fit(pose, camera, p.problem(config)).cost
+        cost = skyline_fit(pose, camera, p.problem()).cost
         z = ridge_strength(pose, p.ridges, p.search.horizon.step, camera, p.search.evidence.edges)
         total += (cost - float(ridge_gain(z))) / alike(p, pictures)
     return total
 
 
 def _refined(
-    pictures: list[MountPicture], start: Float64Array, sigma: Float64Array, config: PicturePoseConfig
+    pictures: list[MountPicture], start: Float64Array, sigma: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
     """Return the state (8,) as in `_cost` and its covariance."""
     free = np.flatnonzero(sigma > 0)
@@ -274,7 +270,7 @@ def _refined(
         for p in pictures:
             pose, camera = p.pose(state), p.camera(state)
             around = p.ridges.in_view(pose, camera)
-            n, g = picture_system(pose, camera, p.problem(config), around, search, wide, expected=last)
+            n, g = picture_system(pose, camera, p.problem(), around, search, wide, expected=last)
             shared = np.zeros((7, 8))
             shared[:6, :6] = np.eye(6)
             shared[3:6, 6] = pose.rotation[:, 0]

@@ -21,7 +21,7 @@ from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import Criteria
 from ltm_core.pose_estimation.skyline.pose_hypothesis import search_reach
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angle_slopes, angles_between
@@ -49,15 +49,9 @@ class MountWatch:
     """Monitor the mount of one camera by its images; give them in time order. `tilt_zero_sigma_deg`: standard deviation
     of the zero of a PTZ head's tilt axis; 0: none is estimated."""
 
-    def __init__(
-        self,
-        terrain: SearchTerrain,
-        config: PoseRefinementConfig,
-        picture_config: PicturePoseConfig = PicturePoseConfig(),
-        tilt_zero_sigma_deg: float = 0.0,
-    ) -> None:
+    def __init__(self, terrain: SearchTerrain, config: PoseRefinementConfig, tilt_zero_sigma_deg: float = 0.0) -> None:
         self._tilt_zero_sigma_deg = tilt_zero_sigma_deg
-        self._terrain, self._config, self._search = terrain, config, picture_config
+        self._terrain, self._config = terrain, config
         self.correction = PoseCorrection(np.zeros(3), None)
         self.state = MountState.STATED
         self.reason = "too few clear images so far"
@@ -86,7 +80,7 @@ class MountWatch:
         search = self._find(evidence, prior)
         if not search.hypotheses or search.verdict.word == "no_skyline":
             return False
-        if evidence.skyline is not None and search.verdict.support < self._search.verdict.clear_support:
+        if evidence.skyline is not None and search.verdict.support < Criteria.clear_support:
             # What is stated as sure holds a search by force: does the image show another direction?
             return self._contradicts(evidence, prior)
         self._priors.append(prior)
@@ -100,7 +94,7 @@ class MountWatch:
         sigma = self._config.slip_sigma_deg
         wide = replace(prior, azimuth_sigma_deg=sigma, pitch_sigma_deg=sigma, roll_sigma_deg=sigma)
         search = self._find(evidence, wide)
-        if search.verdict.word != "accepted" or search.verdict.support < self._search.verdict.clear_support:
+        if search.verdict.word != "accepted" or search.verdict.support < Criteria.clear_support:
             return False
         self._contradictions.append(angles_between(prior.pose, search.hypotheses[0].refined.pose))
         if len(self._contradictions) >= self._config.gather:
@@ -112,7 +106,7 @@ class MountWatch:
         return True
 
     def _fit(self) -> None:
-        fit = fit_ptz_mount(self._priors, self._searches, self._search, self._tilt_zero_sigma_deg)
+        fit = fit_ptz_mount(self._priors, self._searches, self._tilt_zero_sigma_deg)
         before = self.correction
         if fit.word == "accepted":
             rotation, tilt_zero = fit.rotation, fit.tilt_zero
@@ -147,14 +141,14 @@ class MountWatch:
             return False
         prior = PosePrior(pose, *(_TRACKED_SIGMA_DEG,) * 3)
         horizon, ridges = self._horizon(evidence, prior)
-        problem = PoseProblem(evidence, horizon, prior, self._search)
+        problem = PoseProblem(evidence, horizon, prior)
         around = ridges.in_view(pose, evidence.camera)
-        turn = clearer_turn(evidence.skyline, evidence.camera, prior, horizon, self._search.skyline)
+        turn = clearer_turn(evidence.skyline, evidence.camera, prior, horizon)
         starts = [pose] if turn is None else [pose, turn]
         begun = [refine(start, evidence.camera, problem, around, _TRACKING) for start in starts]
         found = min(begun, key=lambda refined: refined.cost)
         here = skyline_fit(pose, evidence.camera, problem).support
-        least = self._search.verdict.clear_support
+        least = Criteria.clear_support
         if max(here, found.skyline.support) < least:
             # Far off, or fog: only a search of its own tells.
             search = self._find(evidence, PosePrior(pose, *(self._config.slip_sigma_deg,) * 3))
@@ -177,7 +171,7 @@ class MountWatch:
         return True
 
     def _find(self, evidence: PictureEvidence, prior: PosePrior) -> PictureSearch:
-        return find_pose(evidence, self._terrain, prior, self._search, horizon=self._horizon(evidence, prior)[0])
+        return find_pose(evidence, self._terrain, prior, horizon=self._horizon(evidence, prior)[0])
 
     def _horizon(self, evidence: PictureEvidence, prior: PosePrior) -> tuple[TerrainHorizon, ContourDirections]:
         """About the prior direction, of the last few that were asked for, with its ridges."""
@@ -201,14 +195,12 @@ def _turn(turns: list[Float64Array], digits: int) -> str:
     return f"{angles} deg in azimuth, pitch and roll"
 
 
-def clearer_turn(
-    skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon, config: SkylineConfig
-) -> Pose | None:
+def clearer_turn(skyline: ImageSkyline, camera: Camera, known: PosePrior, horizon: TerrainHorizon) -> Pose | None:
     """Return the turned pose that fits the skyline clearly better than the known one, if any; a fit ends too near."""
     azimuth, pitch, roll = known.pose.angles_deg
     turns = math.radians(_TURN_STEP_DEG) * np.arange(-_TURN_STEPS, _TURN_STEPS + 1)
     azimuths = np.asarray(math.radians(azimuth) + turns, np.float64)
-    cost, *tilts = search_azimuths(skyline, camera, known, horizon, azimuths, 0.0, config)
+    cost, *tilts = search_azimuths(skyline, camera, known, horizon, azimuths, 0.0)
     best = int(np.argmin(cost))
     if abs(best - _TURN_STEPS) < _TURN_NEAR or cost[best] > cost[_TURN_STEPS] - _TURN_GAIN:
         return None

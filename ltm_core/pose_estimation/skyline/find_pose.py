@@ -21,7 +21,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import vector_of_matrix
 from ltm_core.pose_estimation.lens import LensPrior, RadialTrend, corner_radius, radial_trend
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CrestCover, Criteria
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     Hypothesis,
     PoseVerdict,
@@ -66,11 +66,13 @@ class PictureSearch:
 
 @dataclass(frozen=True, eq=False)
 class SearchTerrain:
-    """Terrain for the search: the DEM, the bend of rays over it, and the maximum height of unknown ground."""
+    """Terrain for the search: the DEM, the bend of rays over it, the maximum height of unknown ground, and the cover of
+    crests over the DEM."""
 
     dem: Dem
     bend: float
     possible: PossibleGround = field(default_factory=PossibleGround)
+    cover: CrestCover = BARE_EARTH
 
     def above(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Return the hypotheses whose camera is not under the ground."""
@@ -85,45 +87,45 @@ class SearchTerrain:
         pixel = math.atan(1 / camera.fx)
         step = max(math.radians(0.04), 0.6 * pixel) if half >= math.pi else max(math.radians(0.02), 0.5 * pixel)
         azimuth = math.radians(prior.pose.angles_deg[0])
-        return terrain_horizon(self.dem, prior.pose.position, self.bend, self.possible, azimuth, half, step)
+        found = terrain_horizon(self.dem, prior.pose.position, self.bend, self.possible, azimuth, half, step)
+        return replace(found, cover=self.cover)
 
 
 def find_pose(
     evidence: PictureEvidence,
     terrain: SearchTerrain,
     prior: PosePrior,
-    config: PicturePoseConfig = PicturePoseConfig(),
     focal_sigma: float = 0.0,
     horizon: TerrainHorizon | None = None,
 ) -> PictureSearch:
     """Search the pose of an image and judge it. `focal_sigma`: relative; 0 holds it. `horizon`: if it is known already.
     Raises PoseError as `terrain_horizon`."""
     horizon = terrain.horizon_for(evidence.camera, prior) if horizon is None else horizon
-    problem = PoseProblem(evidence, horizon, prior, config, focal_sigma)
+    problem = PoseProblem(evidence, horizon, prior, focal_sigma)
 
     def judged(hypotheses: list[Hypothesis], by_ridges: bool, gap_by_ridges: float | None = None) -> PictureSearch:
         if hypotheses:  # a mean of poses has no fit of its own, and the search by ridges does not use the skyline
             best, *others = hypotheses
             fit = skyline_fit(best.refined.pose, best.refined.camera, problem)
             hypotheses = [replace(best, refined=replace(best.refined, skyline=fit)), *others]
-        verdict = judge(hypotheses, by_ridges, prior, config, evidence.plants, gap_by_ridges)
+        verdict = judge(hypotheses, by_ridges, prior, evidence.plants, gap_by_ridges)
         return PictureSearch(tuple(hypotheses), evidence, horizon, verdict)
 
     found: list[Hypothesis] = []
     if evidence.skyline is not None:
         found = terrain.above(poses_on_skyline(problem))
         # Of those above the ground alone: else what comes next would be as sure as if nothing were about it.
-        found = terrain.above(merged_with_others(found, config.verdict))
+        found = terrain.above(merged_with_others(found))
     result = judged(found, False)
-    if not found or _asks_ridges(result, config.verdict):
+    if not found or _asks_ridges(result):
         by_ridges = terrain.above(search_ridges(problem))
-        alone = judged(merged_with_others(by_ridges, config.verdict, by_ridges=True), True)
-        both = mean_of_both(found[0], alone.hypotheses[0], config.verdict) if found and by_ridges else None
+        alone = judged(merged_with_others(by_ridges, by_ridges=True), True)
+        both = mean_of_both(found[0], alone.hypotheses[0]) if found and by_ridges else None
         mean = terrain.above([both]) if both is not None else []
         together = judged([*mean, *found[1:]], False, alone.verdict.gap) if mean else None
-        result = _decided(result, alone, together, config.verdict)
+        result = _decided(result, alone, together)
     settles = evidence.plants >= _SETTLING_PLANTS
-    if settles and result.accepted and result.hypotheses[0].refined.skyline.open > config.verdict.open_share:
+    if settles and result.accepted and result.hypotheses[0].refined.skyline.open > Criteria.open_share:
         result = _settled(result, problem, terrain)
     trend = skyline_bending(result, problem)
     least = _BENT_SIGMAS[result.accepted]
@@ -162,22 +164,20 @@ def skyline_bending(search: PictureSearch, problem: PoseProblem) -> RadialTrend 
     return radial_trend(-rows.error[kept], rows.slopes[kept, 3:7], by_k[kept], sigma)
 
 
-def _decided(
-    by_skyline: PictureSearch, by_ridges: PictureSearch, together: PictureSearch | None, config: VerdictConfig
-) -> PictureSearch:
+def _decided(by_skyline: PictureSearch, by_ridges: PictureSearch, together: PictureSearch | None) -> PictureSearch:
     """Return what counts of a pose by the skyline, one by ridges alone, and, if both agree, their mean."""
     if not by_skyline.hypotheses:
         return by_ridges
     best = by_skyline.hypotheses[0]
     seen = best.refined.skyline
-    if seen.open <= config.open_share and seen.support >= _LEAST_SUPPORT:  # it is the DEM's skyline
-        if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + config.agree_cost:
+    if seen.open <= Criteria.open_share and seen.support >= _LEAST_SUPPORT:  # it is the DEM's skyline
+        if together is not None and together.hypotheses[0].refined.skyline.cost <= seen.cost + Criteria.agree_cost:
             return together
         reason = "it rests on a single ridge, and the other ridges do not confirm it"
         return by_skyline.doubted(reason) if by_ridges.hypotheses else by_skyline
     if by_skyline.accepted and by_ridges.hypotheses:
         apart = abs(float(angles_between(best.refined.pose, by_ridges.hypotheses[0].refined.pose)[0]))
-        if apart <= math.radians(config.open_apart_deg):
+        if apart <= math.radians(Criteria.open_apart_deg):
             return by_skyline
     for other in (by_ridges, together):
         if other is not None and other.accepted:
@@ -195,15 +195,15 @@ def _settled(found: PictureSearch, problem: PoseProblem, terrain: SearchTerrain)
     return replace(found, hypotheses=(*kept, *others), verdict=replace(found.verdict, sigma_deg=refined.sigma_deg))
 
 
-def _asks_ridges(by_skyline: PictureSearch, config: VerdictConfig) -> bool:
+def _asks_ridges(by_skyline: PictureSearch) -> bool:
     """Return whether ridges alone are tried, too: where the skyline is not that of the DEM, or by itself leaves the
     pose open, where land beyond the DEM may look like it, and where one crest is all that the pose is by."""
     if not by_skyline.accepted:
         return True
     best, verdict = by_skyline.hypotheses[0], by_skyline.verdict
-    if best.refined.skyline.open > config.open_share:
-        return not config.open_gap <= verdict.gap < math.inf
-    return best.ridge_score < config.lone_score and verdict.sigma_deg[0] > config.lone_sigma_deg
+    if best.refined.skyline.open > Criteria.open_share:
+        return not Criteria.open_gap <= verdict.gap < math.inf
+    return best.ridge_score < Criteria.lone_score and verdict.sigma_deg[0] > Criteria.lone_sigma_deg
 
 
 _K1_STEP, _K1_REACH = 0.5, 2.0  # step and reach of the search of k1, in its standard deviations
@@ -226,7 +226,6 @@ def find_pose_and_lens(
     terrain: SearchTerrain,
     prior: PosePrior,
     lens: LensPrior,
-    config: PicturePoseConfig = PicturePoseConfig(),
 ) -> tuple[PictureSearch, Camera]:
     """Search the pose, the focal length and k1 of an image; return the search and the image's camera with the lens.
 
@@ -241,7 +240,7 @@ def find_pose_and_lens(
         return replace(camera, distortion=(k1, *camera.distortion[1:]))
 
     def problem(evidence: PictureEvidence) -> PoseProblem:
-        return PoseProblem(evidence, horizon, prior, config, lens.focal)
+        return PoseProblem(evidence, horizon, prior, lens.focal)
 
     def trial(k1: float, refined: RefinedPose) -> _Trial:
         return _Trial(k1, refined, refined.cost + 0.5 * ((k1 - middle) / lens.k1) ** 2)
@@ -260,7 +259,7 @@ def find_pose_and_lens(
             found = terrain.above(poses_on_skyline(problem(evidence)))
             trials += [trial(k1, h.refined) for h in found]
     if not trials:
-        return find_pose(evidence_of(camera), terrain, prior, config, lens.focal, horizon), camera
+        return find_pose(evidence_of(camera), terrain, prior, lens.focal, horizon), camera
     # The best are followed to neighbouring k1: the grid of focal lengths finds each within its own errors.
     step = _K1_STEP * lens.k1
     for _ in range(_HALVINGS):
@@ -271,11 +270,11 @@ def find_pose_and_lens(
     evidence = evidence_of(with_k1(best.k1))
     zoom = best.refined.camera.fx / evidence.camera.fx
     evidence = replace(evidence, camera=evidence.camera.zoomed(zoom))
-    search = find_pose(evidence, terrain, prior, config, _FOCAL_LEFT, horizon)
-    return _with_other_lenses(search, trials, best, config.verdict), with_k1(best.k1).zoomed(zoom)
+    search = find_pose(evidence, terrain, prior, _FOCAL_LEFT, horizon)
+    return _with_other_lenses(search, trials, best), with_k1(best.k1).zoomed(zoom)
 
 
-def _with_other_lenses(search: PictureSearch, trials: list[_Trial], best: _Trial, v: VerdictConfig) -> PictureSearch:
+def _with_other_lenses(search: PictureSearch, trials: list[_Trial], best: _Trial) -> PictureSearch:
     """Return the search with the spread of the poses of other lenses in its covariance, and its verdict by it."""
     if not search.hypotheses:
         return search
@@ -286,13 +285,13 @@ def _with_other_lenses(search: PictureSearch, trials: list[_Trial], best: _Trial
     turns: list[Float64Array] = []
     for trial in sorted(trials, key=lambda t: t.cost):
         pose, gap = trial.refined.pose, trial.cost - best.cost
-        if abs(float(angles_between(first.refined.pose, pose)[0])) <= math.radians(v.alternative_deg):
+        if abs(float(angles_between(first.refined.pose, pose)[0])) <= math.radians(Criteria.alternative_deg):
             turn = vector_of_matrix(pose.rotation @ best.refined.pose.rotation.T)
             # Starts that ended in one place are one pose.
-            if all(float(np.abs(turn - other).max()) > math.radians(v.same_deg) for other in turns):
-                weights.append(math.exp(-gap / (v.agreement * variance)))
+            if all(float(np.abs(turn - other).max()) > math.radians(Criteria.same_deg) for other in turns):
+                weights.append(math.exp(-gap / (Criteria.agreement * variance)))
                 turns.append(turn)
-        elif verdict.word == "accepted" and gap < v.gap_asked(first.refined.skyline.veiled, variance):
+        elif verdict.word == "accepted" and gap < Criteria.gap_asked(first.refined.skyline.veiled, variance):
             reason = f"with a lens of k1 {trial.k1:+.2f}, azimuth {pose.angles_deg[0]:.1f} deg costs {gap:.1f} more"
             verdict = replace(verdict, word="ambiguous", reason=reason, gap=gap)
     covariance = first.refined.covariance.copy()
@@ -301,7 +300,7 @@ def _with_other_lenses(search: PictureSearch, trials: list[_Trial], best: _Trial
         covariance[3:6, 3:6] += (away.T * np.array(weights)) @ away / sum(weights)
     refined = replace(first.refined, covariance=covariance)
     verdict = replace(verdict, sigma_deg=refined.sigma_deg)
-    if verdict.word == "accepted" and max(refined.sigma_deg) > v.most_sigma_deg:
+    if verdict.word == "accepted" and max(refined.sigma_deg) > Criteria.most_sigma_deg:
         sigmas = ", ".join(f"{sigma:.2f}" for sigma in refined.sigma_deg)
         reason = f"other lenses fit as well: azimuth, pitch, roll are known only to {sigmas} deg"
         verdict = replace(verdict, word="ambiguous", reason=reason)

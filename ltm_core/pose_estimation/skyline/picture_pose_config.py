@@ -48,31 +48,25 @@ _CANOPY = crest_heights(tree=(0.0, 1.0), shrub=(0.0, 0.5), grass=(0.1, 0.3), bar
 CANOPY_SURFACE = CrestCover(_CANOPY, _CANOPY)  # for a DEM that already includes the canopy
 
 
-@dataclass(frozen=True)
-class SkylineConfig:
+class SkylineErrors:
     """Error model of a skyline against the terrain's horizon."""
 
-    dem_sigma: float = 0.2  # standard deviation of the DEM's heights along a crest, m
-    cell_share: float = 0.08  # height by which the DEM cuts off crests, as a share of its cells (standard deviation)
-    cell_lift: float = 0.03  # mean height by which crests exceed the DEM, as a share of its cells
-    correlation: float = 60.0  # distance along a crest within which the DEM's errors are fully correlated, m
-    independent: float = 24.0  # maximum number of independent places of a skyline, because it is smooth
-    independent_fit: float = 40.0  # the same in the fit: errors of a sharp skyline without outliers vary faster
-    stated: float = 2.0  # number of independent places by which the stated sigmas count against the observed misfit
-    outliers: float = 0.15  # share of columns that show something else: near trees, masts, clouds, wrong labels
-    outlier_span: float = 0.2  # range over which outliers are spread, rad
-    own_crest: float = 0.5  # share of skylines that are the DEM's horizon where land beyond the DEM may rise above it
-    cover: CrestCover = BARE_EARTH
-
-    @property
-    def odds(self) -> float:
-        """Return the density ratio of a fitting column to an outlier for a sigma of one radian."""
-        # 0.375: the density of Student's t with four degrees of freedom at 0
-        return (1 - self.outliers) / self.outliers * self.outlier_span * 0.375
+    dem_sigma = 0.2  # standard deviation of the DEM's heights along a crest, m
+    cell_share = 0.08  # height by which the DEM cuts off crests, as a share of its cells (standard deviation)
+    cell_lift = 0.03  # mean height by which crests exceed the DEM, as a share of its cells
+    correlation = 60.0  # distance along a crest within which the DEM's errors are fully correlated, m
+    independent = 24.0  # maximum number of independent places of a skyline, because it is smooth
+    independent_fit = 40.0  # the same in the fit: errors of a sharp skyline without outliers vary faster
+    stated = 2.0  # number of independent places by which the stated sigmas count against the observed misfit
+    outliers = 0.15  # share of columns that show something else: near trees, masts, clouds, wrong labels
+    outlier_span = 0.2  # range over which outliers are spread, rad
+    own_crest = 0.5  # share of skylines that are the DEM's horizon where land beyond the DEM may rise above it
+    odds = (1 - outliers) / outliers * outlier_span * 0.375
+    """Density ratio of a fitting column to an outlier for a sigma of one radian. 0.375: the density of Student's t with
+    four degrees of freedom at 0."""
 
 
-@dataclass(frozen=True)
-class VerdictConfig:
+class Criteria:
     """Criteria for accepting a pose.
 
     A gap is the additional cost of the best alternative, which differs by `alternative_deg` or more in azimuth. In an
@@ -82,52 +76,45 @@ class VerdictConfig:
     agree, as they must in open views. "Planted" is land with at least half trees and shrubs, whose margins look like
     ridges."""
 
-    alternative_deg: float = 2.5
-    least_gap: float = 4.0  # minimum gap, times 1 + `veil_factor` x the share of the skyline that plants may hide
-    veil_factor: float = 5.0
-    most_sigma_deg: float = 0.65  # maximum sigma of azimuth, pitch and roll
-    close_azimuth_sigma_deg: float = 0.4  # of an azimuth by ridges alone, or in a view of almost only plants
-    mount_azimuth_sigma_deg: float = 0.3  # of the azimuth of a mount that many images determine jointly
-    mount_apart_deg: float = 0.6  # maximum angle between a mount's pose and those of its images accepted individually
-    mount_sharp_deg: float = 0.1  # maximum sigma of these images, except in open views, where all count
-    agreement: float = 1.0  # cost, in variances of the skyline's misfits, by which a pose's weight falls to 1/e
-    same_deg: float = 0.1  # azimuth within which refined poses are the same
-    least_support: float = 0.68  # minimum share of the skyline that fits
-    sharp_support: float = 0.5  # the same for sure angles or if ridges agree; near trees may hide half of a skyline
-    sharp_sigma_deg: float = 0.35  # maximum sigma of sure angles
-    clear_support: float = 0.35  # minimum share of the skyline for one of many images of a mount that decide jointly
-    open_share: float = 0.25
-    open_apart_deg: float = 0.3  # maximum azimuth from the solution by ridges alone
-    open_gap: float = 25.0  # gap from which ridges are not asked
-    open_azimuth_sigma_deg: float = 0.32
-    most_variance: float = 2.2  # maximum variance of the misfits; without an open view, of poses that are not sure
-    lone_score: float = 1.0
-    lone_sigma_deg: float = 0.2
-    agree_chi_square: float = 7.8  # of the angles between skyline and ridges; 95 % of equal poses are below
-    agree_cost: float = 2.5  # maximum cost that the skyline adds to the solution by ridges: 1/12 of the likelihood
-    ridges_gap: float = 6.0  # minimum gap if only ridges are known
-    plants_gap: float = 8.0  # minimum gap if only ridges are known, in planted land
-    plants_score: float = 6.0  # minimum score of the ridges there, in multiples of chance
-    ridges_variance: float = 1.4  # maximum variance of a visible skyline's misfits if only ridges are used
-    contradiction: float = 3.5
+    alternative_deg = 2.5
+    least_gap = 4.0  # minimum gap, times 1 + `veil_factor` x the share of the skyline that plants may hide
+    veil_factor = 5.0
+    most_sigma_deg = 0.65  # maximum sigma of azimuth, pitch and roll
+    close_azimuth_sigma_deg = 0.4  # of an azimuth by ridges alone, or in a view of almost only plants
+    mount_azimuth_sigma_deg = 0.3  # of the azimuth of a mount that many images determine jointly
+    mount_apart_deg = 0.6  # maximum angle between a mount's pose and those of its images accepted individually
+    mount_sharp_deg = 0.1  # maximum sigma of these images, except in open views, where all count
+    agreement = 1.0  # cost, in variances of the skyline's misfits, by which a pose's weight falls to 1/e
+    same_deg = 0.1  # azimuth within which refined poses are the same
+    least_support = 0.68  # minimum share of the skyline that fits
+    sharp_support = 0.5  # the same for sure angles or if ridges agree; near trees may hide half of a skyline
+    sharp_sigma_deg = 0.35  # maximum sigma of sure angles
+    clear_support = 0.35  # minimum share of the skyline for one of many images of a mount that decide jointly
+    open_share = 0.25
+    open_apart_deg = 0.3  # maximum azimuth from the solution by ridges alone
+    open_gap = 25.0  # gap from which ridges are not asked
+    open_azimuth_sigma_deg = 0.32
+    most_variance = 2.2  # maximum variance of the misfits; without an open view, of poses that are not sure
+    lone_score = 1.0
+    lone_sigma_deg = 0.2
+    agree_chi_square = 7.8  # of the angles between skyline and ridges; 95 % of equal poses are below
+    agree_cost = 2.5  # maximum cost that the skyline adds to the solution by ridges: 1/12 of the likelihood
+    ridges_gap = 6.0  # minimum gap if only ridges are known
+    plants_gap = 8.0  # minimum gap if only ridges are known, in planted land
+    plants_score = 6.0  # minimum score of the ridges there, in multiples of chance
+    ridges_variance = 1.4  # maximum variance of a visible skyline's misfits if only ridges are used
+    contradiction = 3.5
     """Maximum deviation from the prior pose in sigmas of an otherwise good pose. It is below that of the search
     (`search_reach`), because alternatives beyond its edge are unknown."""
 
-    def gap_asked(self, veiled: float, variance: float) -> float:
+    @classmethod
+    def gap_asked(cls, veiled: float, variance: float) -> float:
         """Return the minimum gap if plants may hide this share of the skyline. Misfits of a small `variance` separate
         poses better than stated; large ones do not reduce the cost."""
-        return self.least_gap * min(variance, 1.0) * (1 + self.veil_factor * veiled)
+        return cls.least_gap * min(variance, 1.0) * (1 + cls.veil_factor * veiled)
 
 
 FLOOR_DEG = (0.01, 0.012, 0.01)  # minimum sigma of azimuth, pitch and roll, by errors of refraction and datum
 MOUNT_FLOOR_DEG = (0.03, 0.015, 0.05)
 """Minimum standard deviation of a mount in degrees, which includes errors of the lens. The value for pitch is for one
 direction; with n directions, whose skylines lie elsewhere in the image, it is divided by the root of n."""
-
-
-@dataclass(frozen=True)
-class PicturePoseConfig:
-    """All constants of pose estimation from a photo."""
-
-    skyline: SkylineConfig = SkylineConfig()
-    verdict: VerdictConfig = VerdictConfig()

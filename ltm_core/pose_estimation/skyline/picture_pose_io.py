@@ -14,6 +14,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame, ray_bend
 from ltm_core.geometry.pose import Pose, pose_sigmas, sigma_keys
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain
+from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.image_io import read_values
@@ -45,8 +46,9 @@ class PoseResult:
     accepted: bool
 
 
-def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
-    """Place a guess on `dem`. Raises PoseError for a camera under the ground or outside the DEM, and ConfigError."""
+def set_up_search(guess: GuessConfig, dem: Dem, cover: CrestCover) -> SearchSetup:
+    """Place a guess on `dem`. `cover`: of crests over it. Raises PoseError for a camera under the ground or outside the
+    DEM, and ConfigError."""
     frame, local = near_frame(guess, dem)
     stated = guess.pose
     position = stated.position(local, frame)
@@ -68,7 +70,8 @@ def set_up_search(guess: GuessConfig, dem: Dem) -> SearchSetup:
         stated.height_sigma or stated.position_sigma or 0.0,
     )
     bend = ray_bend(guess.curvature, guess.refraction)
-    return SearchSetup(frame, guess.calibration.camera(), prior, SearchTerrain(local, bend, guess.possible_ground))
+    terrain = SearchTerrain(local, bend, guess.possible_ground, cover)
+    return SearchSetup(frame, guess.calibration.camera(), prior, terrain)
 
 
 def read_labels(path: Path | str, camera: Camera) -> UInt8Array:

@@ -14,7 +14,7 @@ from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections, PictureEvidence
 from ltm_core.pose_estimation.skyline.image_edges import ORIENTATIONS
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineErrors
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.skyline_search import column_weight
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
@@ -31,7 +31,6 @@ class PoseProblem:
     evidence: PictureEvidence
     horizon: TerrainHorizon
     prior: PosePrior
-    config: PicturePoseConfig
     focal_sigma: float = 0.0
     along: float = 24.0
 
@@ -111,7 +110,7 @@ def _project(
 
 def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide: float) -> SkylineObservations | None:
     """Return the terrain's skyline row minus the photo's by column; None without. `wide`: factor of the sigmas."""
-    skyline, noise, horizon = problem.evidence.skyline, problem.config.skyline, problem.horizon
+    skyline, horizon, noise = problem.evidence.skyline, problem.horizon, SkylineErrors
     if skyline is None or len(skyline.u) < 8:
         return None
     azimuths = horizon.azimuths
@@ -141,7 +140,7 @@ def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide:
     ranges, cells = r[near], horizon.cell[seen][near]
     v = pixels[left, 1] + part * (pixels[right, 1] - pixels[left, 1])
     down = slopes[left] + part[:, None, None] * (slopes[right] - slopes[left])
-    height, cover_sigma = noise.cover.at(skyline.cover, ranges)
+    height, cover_sigma = horizon.cover.at(skyline.cover, ranges)
     metre = camera.fy / ranges
     lift, uneven = noise.cell_lift * cells, noise.cell_share * cells
     v = v - (height + lift) * metre
@@ -162,7 +161,7 @@ def skyline_observations(pose: Pose, camera: Camera, problem: PoseProblem, wide:
     front = horizon.front_range[seen][near]
     over = camera.fy / np.where(front > 0, front, 1.0)
     fallen = (t[near] - horizon.front_tangent[seen][near]) * camera.fy + (height + lift) * metre
-    before, before_sigma = noise.cover.at(skyline.cover, front)
+    before, before_sigma = horizon.cover.at(skyline.cover, front)
     behind = v + fallen - before * over - skyline.v
     spread = np.hypot(skyline.sigma_px, np.hypot(noise.dem_sigma, before_sigma) * over)
     hidden = (front > 0) & (np.abs(behind) / spread + np.log(spread) < np.abs(error) / sigma + np.log(sigma))
@@ -182,7 +181,7 @@ def ridge_observations(
     """Return the distances across ridges from the nearest edge within `search` pixels (at width 640), pixels."""
     if len(ridges.range) == 0:
         return None
-    evidence, config, origin = problem.evidence, problem.config, problem.horizon.position
+    evidence, horizon, origin = problem.evidence, problem.horizon, problem.horizon.position
     edges = evidence.edges
     pixels, slopes, ahead = _projected(ridges.here, ridges.range, pose, camera, origin)
     shift = (pose.position - origin) / ridges.range[:, None]
@@ -195,17 +194,17 @@ def ridge_observations(
     if len(kept) < 6:
         return None
     pixels, slopes, line, ranges = pixels[kept], slopes[kept], line[kept], ridges.range[kept]
-    lift, uneven = config.skyline.cell_lift * ridges.cell[kept], config.skyline.cell_share * ridges.cell[kept]
+    lift, uneven = SkylineErrors.cell_lift * ridges.cell[kept], SkylineErrors.cell_share * ridges.cell[kept]
     length = np.hypot(line[:, 0], line[:, 1])
     normal = np.column_stack([-line[:, 1], line[:, 0]]) / np.maximum(length, 1e-9)[:, None]
     unit = camera.width / 640.0
     below = np.clip(np.rint(pixels[:, 1] + 2 * unit), 0, camera.height - 1).astype(np.intp)
     labels = evidence.labels[below, np.rint(pixels[:, 0]).astype(np.intp)]
-    height, cover_sigma = config.skyline.cover.at(labels, ranges)
+    height, cover_sigma = horizon.cover.at(labels, ranges)
     metre = camera.fy / ranges
     pixels = pixels - np.column_stack([np.zeros(len(kept)), (height + lift) * metre])
     found, strength = _nearest_edges(pixels, normal, edges.response, edges.scale, search * unit, 0.5 * edges.scale)
-    shared = np.hypot(config.skyline.dem_sigma, cover_sigma) * metre
+    shared = np.hypot(SkylineErrors.dem_sigma, cover_sigma) * metre
     sigma = np.sqrt((_EDGE_SIGMA_PX * unit) ** 2 + (uneven * metre) ** 2 + shared**2)
     step = ridges.every * (np.median(length[length > 0]) if (length > 0).any() else 1.0)
     correlation = problem.along * np.maximum(unit, metre)

@@ -17,7 +17,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance, pose_sigmas
 from ltm_core.pose_estimation.skyline.contour_scores import ContourDirections
-from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG
+from ltm_core.pose_estimation.skyline.picture_pose_config import FLOOR_DEG, SkylineErrors
 from ltm_core.pose_estimation.skyline.pose_observations import (
     Observations,
     PoseProblem,
@@ -108,20 +108,21 @@ def refine(
 def skyline_fit(pose: Pose, camera: Camera, problem: PoseProblem) -> SkylineFit:
     """Return the fit of a photo's skyline alone."""
     rows = skyline_observations(pose, camera, problem, 1.0)
-    skyline, noise = problem.evidence.skyline, problem.config.skyline
+    skyline = problem.evidence.skyline
     if rows is None or skyline is None:
         return SkylineFit()
     square = (rows.error / rows.sigma) ** 2
     q = 1 + square / 4
-    odds = noise.odds * camera.fy / rows.sigma
+    odds = SkylineErrors.odds * camera.fy / rows.sigma
     like = odds / q**2.5
     fits = rows.weight > 0
-    cost = -column_weight(skyline, camera, noise.independent) * float(np.log1p(like)[fits].sum())
+    cost = -column_weight(skyline, camera, SkylineErrors.independent) * float(np.log1p(like)[fits].sum())
     inlier = like / (1 + like)
     # A crest so near, or so uncertain, that anything fits says nothing.
     supports = inlier * (rows.sigma < _TELLING * camera.fy)
     counted = rows.weight * inlier
-    variance = (noise.stated + float(counted @ np.minimum(square, _MOST_SQUARE))) / (noise.stated + counted.sum())
+    stated = SkylineErrors.stated
+    variance = (stated + float(counted @ np.minimum(square, _MOST_SQUARE))) / (stated + counted.sum())
     told = len(skyline.u) * max(1.0 - rows.free, _LEAST_TOLD)
     return SkylineFit(cost, float(supports[fits].sum()) / told, rows.veiled, float(variance), rows.open)
 
@@ -153,10 +154,10 @@ def picture_system(
     expected: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
     """Return the normal matrix (7, 7) and gradient (7,) of the image's cost."""
-    normal, gradient, config = 1e-12 * np.eye(7), np.zeros(7), problem.config
+    normal, gradient = 1e-12 * np.eye(7), np.zeros(7)
     skyline = skyline_observations(pose, camera, problem, wide)
     contours = ridge_observations(pose, camera, problem, ridges, search)
-    for rows, odds in ((skyline, config.skyline.odds * camera.fy), (contours, _edge_odds(search))):
+    for rows, odds in ((skyline, SkylineErrors.odds * camera.fy), (contours, _edge_odds(search))):
         if rows is None or len(rows.error) < FEWEST:
             continue
         weight = rows.weight * fitting(rows, odds, expected) / rows.sigma**2
@@ -166,7 +167,7 @@ def picture_system(
 
 
 def _edge_odds(search: float) -> float:
-    """Return the ratio as `SkylineConfig.odds`, for a sigma of one pixel and edges within `search` pixels."""
+    """Return the ratio as `SkylineErrors.odds`, for a sigma of one pixel and edges within `search` pixels."""
     return (1 - _EDGE_OUTLIERS) / _EDGE_OUTLIERS * 0.75 * search
 
 

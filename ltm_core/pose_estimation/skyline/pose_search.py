@@ -19,7 +19,7 @@ from ltm_core.pose_estimation.skyline.contour_scores import (
     ridge_gain,
     ridge_strength,
 )
-from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, crest_heights
+from ltm_core.pose_estimation.skyline.picture_pose_config import CrestCover, Criteria, crest_heights
 from ltm_core.pose_estimation.skyline.pose_hypothesis import MANY_PLANTS, Hypothesis, focal_candidates, search_reach
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
@@ -45,10 +45,10 @@ _SETTLING = ((4.0, 1.0),) * 12  # rounds of both, as in `pose_refinement.ROUNDS`
 
 def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
     """Return hypotheses in order of cost, without the skyline; none if too few ridges may be in view."""
-    evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
-    cover = config.skyline.cover if evidence.plants >= MANY_PLANTS else _ANY
-    config = replace(config, skyline=replace(config.skyline, cover=cover))
-    problem = replace(problem, evidence=replace(evidence, skyline=None), config=config, along=_ALONG)
+    evidence, horizon, prior = problem.evidence, problem.horizon, problem.prior
+    if evidence.plants < MANY_PLANTS:
+        horizon = replace(horizon, cover=_ANY)
+    problem = replace(problem, evidence=replace(evidence, skyline=None), horizon=horizon, along=_ALONG)
     ridges = ContourDirections.of(horizon, with_horizon=True)
     if len(ridges.range) < 30:
         return []
@@ -144,7 +144,7 @@ _PITCHES_DEG = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3, 0.45)
 
 def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     """Return hypotheses in order of cost for an image with a skyline."""
-    evidence, horizon, prior, config = problem.evidence, problem.horizon, problem.prior, problem.config
+    evidence, horizon, prior = problem.evidence, problem.horizon, problem.prior
     skyline = evidence.skyline
     assert skyline is not None  # nosec B101 # tells the type checker what holds
     reach = search_reach(prior)
@@ -158,7 +158,7 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
     candidates = []
     for factor in focal_candidates(problem.focal_sigma):
         camera = evidence.camera.zoomed(factor)
-        cost, *tilts = search_azimuths(skyline, camera, prior, horizon, azimuths, position_sigma, config.skyline)
+        cost, *tilts = search_azimuths(skyline, camera, prior, horizon, azimuths, position_sigma)
         angles = np.degrees(np.column_stack([azimuths, *tilts])) + np.array([0.0, pitch, roll])
         scores = _best_over_pitch(_rotations(angles), coarse, camera, evidence)
         candidates.append((camera, angles, cost, scores))
@@ -191,7 +191,7 @@ def poses_on_skyline(problem: PoseProblem) -> list[Hypothesis]:
 
     found = sorted((hypothesis_from(*start, ROUNDS) for start in starts), key=lambda hypothesis: hypothesis.cost)
     # Along a smooth slope a pose has not settled when its rounds end: those that the mean will be of go on.
-    near = math.radians(config.verdict.alternative_deg)
+    near = math.radians(Criteria.alternative_deg)
     middle = found[0].refined.pose
     found = [
         hypothesis_from(h.refined.pose, h.refined.camera, _SKYLINE_SETTLING)

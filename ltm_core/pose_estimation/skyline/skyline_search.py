@@ -14,7 +14,7 @@ from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.image_edges import ImageSkyline
-from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineConfig, farness
+from ltm_core.pose_estimation.skyline.picture_pose_config import SkylineErrors, farness
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.terrain_horizon import TerrainHorizon
 
@@ -41,7 +41,6 @@ def search_azimuths(
     horizon: TerrainHorizon,
     azimuths: Float64Array,
     position_sigma: float,
-    config: SkylineConfig,
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return the costs of azimuths (Y,), radians, of an undistorted camera with the tilt of the prior pose, and the
     pitch and roll to add to it, radians. `position_sigma`: metres."""
@@ -52,14 +51,14 @@ def search_azimuths(
     small = 0.05
     by_pitch = (_level(rays, pitch + small, roll)[1] - tangent) / np.radians(small)
     by_roll = (_level(rays, pitch, roll + small)[1] - tangent) / np.radians(small)
-    near, far = config.cover.near[skyline.cover], config.cover.far[skyline.cover]
+    near, far = horizon.cover.near[skyline.cover], horizon.cover.far[skyline.cover]
     columns = np.column_stack([away, tangent, by_pitch, by_roll, skyline.sigma_px / camera.fy, near, far])
     step = float(azimuths[1] - azimuths[0]) if len(azimuths) > 1 else 0.0
-    h, share = horizon, column_weight(skyline, camera, config.independent)
+    h, share = horizon, column_weight(skyline, camera, SkylineErrors.independent)
     crests = [h.tangent, h.range, h.cell, h.bound, h.front_tangent, h.front_range]
     crests += [farness(h.range), farness(h.front_range)]
     setting = np.array([step / 3.5, position_sigma, *prior.sigmas[4:], skyline.spacing / camera.fx])
-    c = config
+    c = SkylineErrors
     noise = np.array([c.dem_sigma, c.cell_share, c.cell_lift, c.correlation, c.odds, share, c.own_crest])
     out = _search(columns, np.column_stack(crests), h.start, h.step, h.whole, azimuths, setting, noise)
     return out[:, COST], out[:, PITCH], out[:, ROLL]

@@ -13,6 +13,7 @@ import numpy as np
 from ltm_core.base.errors import PoseError
 from ltm_core.base.kernels import kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
+from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CrestCover
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_seam_kernels import bilinear
 from ltm_core.tracing.possible_ground import PossibleGround
@@ -86,7 +87,7 @@ class TerrainHorizon:
     there; `at_edge`: (N,) the DEM ends there, so that it is no crest. `bound`: (N,) the tangent above which there is
     certainly no ground, also none beyond the DEM; what lies between the two is open. `front_tangent`,
     `front_range`: (N,) of the nearer crest that trees of 5 m would raise highest, 0 where that is the horizon itself:
-    trees on it, or haze, may hide the horizon."""
+    trees on it, or haze, may hide the horizon. `cover`: of its crests."""
 
     position: Float64Array
     start: float
@@ -99,6 +100,7 @@ class TerrainHorizon:
     front_tangent: Float64Array
     front_range: Float64Array
     contours: OccludingContours
+    cover: CrestCover = BARE_EARTH
 
     @property
     def azimuths(self) -> Float64Array:

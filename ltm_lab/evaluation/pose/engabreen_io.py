@@ -18,7 +18,6 @@ from ltm_core.pose_estimation.points.resection import Resection, resect
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.storage.config_io import read_text
@@ -117,7 +116,7 @@ def run_real_trials(
 
     `focal_free`: with the stated focal length, which is fitted. `position_off`: metres by which the start's place is
     off, in as many directions; it is then fitted."""
-    true, camera, config = real.points.pose, real.points.camera, PicturePoseConfig()
+    true, camera = real.points.pose, real.points.camera
     if focal_free:
         camera = replace(camera, fx=real.stated.fx, fy=real.stated.fy)
     evidence = picture_evidence(real.photo, labels, camera)
@@ -131,7 +130,7 @@ def run_real_trials(
         start = Pose.from_angles(place, *three(np.add(true.angles_deg, off)))
         begin = time.process_time()
         prior = PosePrior(start, *_OFF_DEG, position_off / 1.5, position_off / 6)
-        search = find_pose(evidence, real.terrain, prior, config, 0.03 if focal_free else 0.0)
+        search = find_pose(evidence, real.terrain, prior, 0.03 if focal_free else 0.0)
         spent = time.process_time() - begin
         best = search.hypotheses[0].refined if search.hypotheses else None
         pose = start if best is None else best.pose

@@ -20,7 +20,7 @@ from ltm_core.pose_estimation.points.resection_adjustment import applied, size_o
 from ltm_core.pose_estimation.points.resection_io import read_control_points
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, SearchTerrain, find_pose, find_pose_and_lens
-from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.trace_io import load_picture_config, read_photo
@@ -83,23 +83,20 @@ def run_finse(folder: Path, kind: str, starts: int) -> list[LensTrial]:
     stated = replace(fitted, fx=1484.0, fy=1484.0, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
     photo = read_photo(folder / "2019-05-24.jpg", stated)
     labels = Segmenter.open().segment(photo).labels
-    config = PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE))
-    terrain = SearchTerrain(dem, ray_bend(True, 0.13))
-    evidence_of = _evidence_of(photo, labels, config)
+    terrain = SearchTerrain(dem, ray_bend(True, 0.13), cover=CANOPY_SURFACE)
+    evidence_of = _evidence_of(photo, labels)
     trials = []
     for k in range(starts + 1):
         off = np.multiply(_OFF_DEG, (1 if k % 2 else -1, 1 if k // 2 % 2 else -1, k // 4 % 3 - 1))
         start = Pose.from_angles(true.position, *three(np.add(true.angles_deg, off)))
         prior = PosePrior(start, UNKNOWN_DEG if k == starts else _OFF_DEG[0], *_OFF_DEG[1:])
-        search, lens = find_pose_and_lens(evidence_of, stated, terrain, prior, LensPrior.of(kind, stated), config)
+        search, lens = find_pose_and_lens(evidence_of, stated, terrain, prior, LensPrior.of(kind, stated))
         case = "Finse, no azimuth" if k == starts else "Finse, {:+.0f} {:+.0f} {:+.0f} deg".format(*off)
         trials.append(_trial(case, true, search, lens.distortion[0]))
     return trials
 
 
-def _evidence_of(
-    photo: UInt8Array, labels: UInt8Array, config: PicturePoseConfig
-) -> Callable[[Camera], PictureEvidence]:
+def _evidence_of(photo: UInt8Array, labels: UInt8Array) -> Callable[[Camera], PictureEvidence]:
     @lru_cache(maxsize=64)
     def evidence(camera: Camera) -> PictureEvidence:
         return picture_evidence(photo, labels, camera)
@@ -128,11 +125,11 @@ def run_rendered(folder: Path, k1: float, every: int, seed: int) -> list[LensTri
         prior = disturbed(frame.pose, Sensor.mount, terrain.dem, np.random.default_rng([seed, prepared.number]))
         for name, value in (("no distortion", 0.0), (f"k1 {k1:+.2f}", k1)):
             photo = bent(frame.photo, camera, value, cv2.INTER_LINEAR)
-            evidence_of = _evidence_of(photo, bent(labels, camera, value, cv2.INTER_NEAREST), site.config)
-            stated = find_pose(evidence_of(camera), terrain, prior, site.config)
+            evidence_of = _evidence_of(photo, bent(labels, camera, value, cv2.INTER_NEAREST))
+            stated = find_pose(evidence_of(camera), terrain, prior)
             trials.append(_trial(f"{name}, lens stated", frame.pose, stated, 0.0))
             prior_of_lens = LensPrior.of("any", camera)
-            search, lens = find_pose_and_lens(evidence_of, camera, terrain, prior, prior_of_lens, site.config)
+            search, lens = find_pose_and_lens(evidence_of, camera, terrain, prior, prior_of_lens)
             trials.append(_trial(f"{name}, lens free", frame.pose, search, lens.distortion[0]))
     return trials
 

@@ -13,7 +13,6 @@ from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_fit import TILT_ZERO_SIGMA_DEG, fit_mount, widened
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_lab.evaluation.pose.pose_trial import Angles, PoseJob, PoseTrial, run_pose_trials, sigmas_deg, three
 from ltm_lab.evaluation.pose.rendered_terrain_io import PreparedFrame, RenderedSite, by_camera
@@ -73,7 +72,7 @@ def run_pose_job(job: PoseJob) -> list[PoseTrial | MountTrial]:
     for head, presets in by_camera(frames).items() if job.mounts else ():
         rng = job.rng(977, *head.encode())
         factor = job.focal_factor(rng)
-        trial = run_mount_trial(presets, terrain, job.site.config, rng, factor, 0.5 * job.focal)
+        trial = run_mount_trial(presets, terrain, rng, factor, 0.5 * job.focal)
         trials.append(replace(trial, head=f"{job.site.folder.name}/{head}"))
     return trials
 
@@ -81,7 +80,6 @@ def run_pose_job(job: PoseJob) -> list[PoseTrial | MountTrial]:
 def run_mount_trial(
     frames: Sequence[PreparedFrame],
     terrain: SearchTerrain,
-    config: PicturePoseConfig,
     rng: np.random.Generator,
     focal_factor: float = 1.0,
     focal_sigma: float = 0.0,
@@ -99,8 +97,8 @@ def run_mount_trial(
         priors.append(prior)
         if focal_factor != 1.0:
             evidence = replace(evidence, camera=evidence.camera.zoomed(focal_factor))
-        searches.append(find_pose(evidence, terrain, widened(prior, TILT_ZERO_SIGMA_DEG), config, focal_sigma))
-    fit = fit_mount(priors, searches, config, focal_sigma=focal_sigma)
+        searches.append(find_pose(evidence, terrain, widened(prior, TILT_ZERO_SIGMA_DEG), focal_sigma))
+    fit = fit_mount(priors, searches, focal_sigma=focal_sigma)
     errors = [np.degrees(angles_between(p.frame.pose, found)) for p, found in zip(frames, fit.found, strict=True)]
     z = [error / sigmas_deg(fit.found[k], fit.pose_covariance(k)) for k, error in enumerate(errors)]
     return MountTrial("", fit.word, tuple(map(three, errors)), tuple(map(three, z)), focal_factor * fit.focal)
@@ -118,7 +116,7 @@ def run_watch_job(job: WatchJob) -> list[WatchTrial]:
 def run_watch_trial(camera: str, frames: Sequence[PreparedFrame], terrain: SearchTerrain, job: WatchJob) -> WatchTrial:
     """Show a camera's images with their true poses, then as if it had been turned without notice: the stated poses are
     off by the turn."""
-    watch = MountWatch(terrain, PoseRefinementConfig(), job.site.config)
+    watch = MountWatch(terrain, PoseRefinementConfig())
     turn, sigma = np.radians([0.0, 0.0, job.turn_deg]), job.sigma_deg
 
     def shown(by: Float64Array) -> Iterator[tuple[bool, MountState, float]]:

@@ -11,7 +11,6 @@ import numpy as np
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain, find_pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angle_slopes, angles_between
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing import TerrainTracer
@@ -97,7 +96,7 @@ def run_pose_trials(job: PoseJob, terrain: SearchTerrain, frames: Sequence[Prepa
             rng = job.rng(frame.number, kind)
             for _ in range(job.draws):
                 factor = job.focal_factor(rng)
-                trial = run_trial(frame, sensor, terrain, tracer, job.site.config, rng, factor, 0.5 * job.focal)
+                trial = run_trial(frame, sensor, terrain, tracer, rng, factor, 0.5 * job.focal)
                 trials.append(replace(trial, frame=f"{job.site.folder.name}/{frame.number:04d}"))
     return trials
 
@@ -126,7 +125,6 @@ def run_trial(
     sensor: Sensor,
     terrain: SearchTerrain,
     tracer: TerrainTracer,
-    config: PicturePoseConfig,
     rng: np.random.Generator,
     focal_factor: float = 1.0,
     focal_sigma: float = 0.0,
@@ -137,7 +135,7 @@ def run_trial(
     if focal_factor != 1.0:
         evidence = replace(evidence, camera=evidence.camera.zoomed(focal_factor))
     begin = time.process_time()
-    search = find_pose(evidence, terrain, prior, config, focal_sigma)
+    search = find_pose(evidence, terrain, prior, focal_sigma)
     spent = time.process_time() - begin + prepared.seconds
     found = search.hypotheses[0].refined if search.hypotheses else None
     pose = prior.pose if found is None else found.pose

@@ -16,7 +16,7 @@ from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_pose_config import CANOPY_SURFACE, PicturePoseConfig, SkylineConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import BARE_EARTH, CANOPY_SURFACE
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.dem_stack import DemStack, with_surface
@@ -63,10 +63,6 @@ class RenderedSite:
     canopy: bool = False
     every: int = 1
 
-    @property
-    def config(self) -> PicturePoseConfig:
-        return PicturePoseConfig(skyline=SkylineConfig(cover=CANOPY_SURFACE)) if self.canopy else PicturePoseConfig()
-
     def terrain(self) -> SearchTerrain:
         """Return the DEM of the site within those of its surroundings, at whose end the world ends.
 
@@ -85,9 +81,8 @@ class RenderedSite:
         if self.canopy:
             date = next(iter(dates(self.folder)), "now")
             dem = with_surface(dem, Dem.open(self.folder / "truth" / date / "surface.tif").in_frame(frame))
-        return SearchTerrain(
-            dem, ray_bend(is_curved(self.folder), 0.13), PossibleGround() if self.alone else NOTHING_BEYOND
-        )
+        bend, possible = ray_bend(is_curved(self.folder), 0.13), PossibleGround() if self.alone else NOTHING_BEYOND
+        return SearchTerrain(dem, bend, possible, CANOPY_SURFACE if self.canopy else BARE_EARTH)
 
     def frames(self, terrain: SearchTerrain) -> list[PreparedFrame]:
         """Return the frames with labels and evidence. Raises RecordingError if there is none."""
@@ -96,15 +91,13 @@ class RenderedSite:
         for number, frame in islice(enumerate(read_truth_frames(self.folder)), 0, None, self.every):
             shape = (frame.camera.height, frame.camera.width)
             ids = segmenter.segment(frame.photo).labels if segmenter else upsampled_labels(frame.labels, shape)
-            found.append(prepared(number, frame, ids, terrain, self.config))
+            found.append(prepared(number, frame, ids, terrain))
         if not found:
             raise RecordingError(f"{self.folder} has no frame with truth")
         return found
 
 
-def prepared(
-    number: int, frame: TruthFrame, labels: UInt8Array, terrain: SearchTerrain, config: PicturePoseConfig
-) -> PreparedFrame:
+def prepared(number: int, frame: TruthFrame, labels: UInt8Array, terrain: SearchTerrain) -> PreparedFrame:
     """Return a frame with its evidence, from the (H, W) labels that the search gets."""
     begin = time.process_time()
     evidence = picture_evidence(frame.photo, labels, frame.camera)

@@ -15,7 +15,6 @@ from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import SearchTerrain
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior
 from ltm_core.pose_estimation.skyline.pose_refinement import SkylineFit, skyline_fit
@@ -97,13 +96,12 @@ class Placement:
         """Return the fit of a photo's skyline to the terrain's; None without a skyline or terrain."""
         if self.dem is None or photo.shape[:2] != (placed.camera.height, placed.camera.width):
             return None
-        config = PicturePoseConfig()
         evidence = picture_evidence(photo, labels, placed.camera)
         if evidence.skyline is None:
             return None
         prior = PosePrior(placed.pose, 1.0)
         horizon = SearchTerrain(self.dem, self.bend).horizon_for(evidence.camera, prior)
-        return skyline_fit(placed.pose, evidence.camera, PoseProblem(evidence, horizon, prior, config))
+        return skyline_fit(placed.pose, evidence.camera, PoseProblem(evidence, horizon, prior))
 
 
 def readings(

@@ -85,7 +85,7 @@ class PoseRefinement:
 
     def __init__(self, site: Site) -> None:
         self._site = site
-        self._terrain, self._config = site_terrain(site)
+        self._terrain = site_terrain(site)
         self._assumed = site.assumed_pose_error.covariance()
         self._views: dict[str, tuple[Segmenter, SceneFilter]] = {}
         """The network that labels each camera's photos, and its mask."""
@@ -145,7 +145,7 @@ class PoseRefinement:
         if doubt is not None:
             raise ImageError(doubt)
         evidence = picture_evidence(photo, labels, item.camera, seen.hidden)
-        search = find_pose(evidence, self._terrain, prior, self._config)
+        search = find_pose(evidence, self._terrain, prior)
         result, found = result_of(search, prior, item.camera), Refinement(search.verdict.word, search.verdict.reason)
         if not result.accepted:
             return result, found

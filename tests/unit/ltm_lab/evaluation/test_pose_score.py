@@ -4,7 +4,6 @@ from scenes.mountain_view import eye, mountains, terrain, view
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between
 from ltm_core.tracing import TerrainTracer
 from ltm_core.tracing.possible_ground import NOTHING_BEYOND
@@ -20,13 +19,13 @@ def frame(azimuth: float) -> PreparedFrame:
     photo, labels = view(pose, SMALL)
     depth = TerrainTracer(mountains(), possible=NOTHING_BEYOND).trace(SMALL, pose).depth()
     truth = TruthFrame("mast", 0, SMALL, pose, photo, depth, depth, labels, np.zeros(labels.shape, np.bool_))
-    return prepared(0, truth, labels, terrain(), PicturePoseConfig())
+    return prepared(0, truth, labels, terrain())
 
 
 def test_a_trial_says_how_far_pose_and_places_are_off() -> None:
     tracer = TerrainTracer(mountains(), possible=NOTHING_BEYOND)
     rng = np.random.default_rng(11)
-    trial = run_trial(frame(75.0), Sensor.mount, terrain(), tracer, PicturePoseConfig(), rng)
+    trial = run_trial(frame(75.0), Sensor.mount, terrain(), tracer, rng)
     assert trial.accepted
     assert trial.open_share == 0.0
     true = Pose.from_angles(eye(), 75.0, 1.5, 0.5)

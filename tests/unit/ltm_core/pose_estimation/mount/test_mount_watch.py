@@ -7,12 +7,11 @@ from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_watch import MountState, MountWatch, clearer_turn
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between, turned
 from ltm_core.vision.labels import UNLABELLED
 
 CONFIG = PoseRefinementConfig(every=0.0, gather=3, most_gathered=5)
-SEARCH, STATED = PicturePoseConfig(), TRUE
+STATED = TRUE
 OFF = np.radians([0.35, -0.2, -1.3])
 """By which the mount is turned about the map's axes against what is stated."""
 
@@ -101,7 +100,7 @@ def clearer(true: Pose) -> Pose | None:
     evidence, known = picture_evidence(*view(true), CAMERA), PosePrior(STATED, 1.0, 1.0, 1.0)
     assert evidence.skyline is not None
     horizon = terrain().horizon_for(CAMERA, known)
-    return clearer_turn(evidence.skyline, CAMERA, known, horizon, SEARCH.skyline)
+    return clearer_turn(evidence.skyline, CAMERA, known, horizon)
 
 
 @pytest.mark.parametrize("turned_deg", [-1.5, 1.0, 1.75])

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,13 +9,11 @@ from ltm_core.geometry.pose import pose_sigmas
 from ltm_core.pose_estimation.skyline import find_pose as pose_from_picture
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import Criteria
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import PosePrior, angles_between
 from ltm_core.pose_estimation.skyline.pose_refinement import settled_on_ridges, skyline_fit
 from ltm_core.vision.labels import Label
-
-CONFIG = PicturePoseConfig()
 
 
 @cache
@@ -72,7 +69,7 @@ def test_where_nothing_lies_beyond_it_is_misfit() -> None:
     with_range_behind(picture, slice(0, 260), 14)
     evidence = picture_evidence(*picture, CAMERA)
     horizon = terrain().horizon_for(evidence.camera, PRIOR)
-    fit = skyline_fit(TRUE, evidence.camera, PoseProblem(evidence, horizon, PRIOR, CONFIG))
+    fit = skyline_fit(TRUE, evidence.camera, PoseProblem(evidence, horizon, PRIOR))
     assert fit.open == 0.0
     assert fit.support < 0.6
 
@@ -85,8 +82,8 @@ def test_what_ridges_do_not_say_too_is_taken_only_where_it_stands_out(monkeypatc
     monkeypatch.setattr(pose_from_picture, "search_ridges", without_ridges)
     found = find_pose(clear(), OPEN, PRIOR)
     assert found.verdict.word == "accepted"
-    asked = replace(CONFIG.verdict, open_gap=found.verdict.gap + 1.0)
-    doubted = find_pose(clear(), OPEN, PRIOR, replace(CONFIG, verdict=asked))
+    monkeypatch.setattr(Criteria, "open_gap", found.verdict.gap + 1.0)
+    doubted = find_pose(clear(), OPEN, PRIOR)
     assert (doubted.verdict.word, "ridges" in doubted.verdict.reason) == ("ambiguous", True)
 
 
@@ -98,7 +95,7 @@ def test_a_skyline_of_another_shape_is_not_taken_for_the_horizon() -> None:
         rows = slice(min(top, top - lift), max(top, top - lift))
         labels[rows, u], photo[rows, u] = (Label.BARE, (90, 100, 80)) if lift > 0 else (Label.SKY, (190, 210, 235))
     search = search_of(picture)
-    assert search.hypotheses[0].refined.skyline.variance > CONFIG.verdict.most_variance
+    assert search.hypotheses[0].refined.skyline.variance > Criteria.most_variance
     assert search.verdict.word == "ambiguous"
 
 
@@ -115,7 +112,7 @@ def test_among_plants_an_open_pose_is_as_sure_as_its_ridges() -> None:
     found = find_pose(evidence, OPEN, PRIOR)
     assert found.verdict.word == "accepted", found.verdict.reason
     best = found.hypotheses[0].refined
-    again = settled_on_ridges(best, PoseProblem(evidence, found.horizon, PRIOR, CONFIG))
+    again = settled_on_ridges(best, PoseProblem(evidence, found.horizon, PRIOR))
     away = np.abs(np.degrees(angles_between(best.pose, again.pose)))
     assert (away < 0.5 * np.array(found.verdict.sigma_deg)).all()
     assert found.verdict.sigma_deg == pytest.approx(

@@ -10,7 +10,6 @@ from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import PictureEvidence, picture_evidence
 from ltm_core.pose_estimation.skyline.find_pose import PictureSearch, find_pose
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
 from ltm_core.pose_estimation.skyline.picture_pose_io import doubt_of_sky, result_of
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem, skyline_observations
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, angles_between
@@ -79,7 +78,7 @@ def test_a_lens_s_distortion_is_taken_out() -> None:
 def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
     """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
     horizon = terrain().horizon_for(evidence.camera, NEAR)
-    rows = skyline_observations(TRUE, evidence.camera, PoseProblem(evidence, horizon, NEAR, PicturePoseConfig()), 1.0)
+    rows = skyline_observations(TRUE, evidence.camera, PoseProblem(evidence, horizon, NEAR), 1.0)
     assert rows is not None
     assert evidence.skyline is not None
     v = evidence.skyline.v + sigmas * np.where(np.arange(len(rows.sigma)) % 2, 1.0, -1.0) * rows.sigma

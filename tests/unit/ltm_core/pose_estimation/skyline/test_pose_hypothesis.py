@@ -7,7 +7,7 @@ import pytest
 
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig, VerdictConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import Criteria
 from ltm_core.pose_estimation.skyline.pose_hypothesis import (
     Hypothesis,
     judge,
@@ -17,9 +17,12 @@ from ltm_core.pose_estimation.skyline.pose_hypothesis import (
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
 
-CONFIG = VerdictConfig(
-    alternative_deg=2.5, agreement=2.0, same_deg=0.1, most_sigma_deg=0.6, close_azimuth_sigma_deg=0.4
-)
+
+@pytest.fixture(autouse=True)
+def criteria(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = {"alternative_deg": 2.5, "same_deg": 0.1, "most_sigma_deg": 0.6, "close_azimuth_sigma_deg": 0.4}
+    for name, value in (limits | {"agreement": 2.0}).items():
+        monkeypatch.setattr(Criteria, name, value)
 
 
 def hypothesis(azimuth_deg: float, cost: float, variance: float = 1.0) -> Hypothesis:
@@ -47,7 +50,7 @@ def word_of(
     """The verdict on a pose by a skyline, so sure and so seen, which nothing else is like."""
     best = moved(0.0, sigmas_deg).refined
     found = [Hypothesis(replace(best, skyline=seen), best.cost, 1.0)]
-    return judge(found, False, PosePrior(best.pose, 1.5, 0.5, 0.5), PicturePoseConfig(), plants, gap_by_ridges).word
+    return judge(found, False, PosePrior(best.pose, 1.5, 0.5, 0.5), plants, gap_by_ridges).word
 
 
 def azimuth_sigma_deg(best: Hypothesis) -> float:
@@ -57,7 +60,7 @@ def azimuth_sigma_deg(best: Hypothesis) -> float:
 @pytest.mark.parametrize("variance", [0.5, 1.0, 2.0])
 def test_poses_that_cost_the_same_are_one_that_is_unsure(variance: float) -> None:
     others = [hypothesis(61.2, -100.0), hypothesis(60.6, -98.0), hypothesis(70.0, -99.9)]
-    best, *rest = merged_with_others([hypothesis(60.0, -100.0, variance), *others], CONFIG)
+    best, *rest = merged_with_others([hypothesis(60.0, -100.0, variance), *others])
     weight = math.exp(-2.0 / (2.0 * variance))  # the one 10 degrees off is an alternative
     mean = (1.2 + weight * 0.6) / (2 + weight)
     spread = (mean**2 + (1.2 - mean) ** 2 + weight * (0.6 - mean) ** 2) / (2 + weight)
@@ -77,9 +80,9 @@ def test_poses_that_cost_the_same_are_one_that_is_unsure(variance: float) -> Non
 )
 @pytest.mark.parametrize("stated_deg", [1.5, UNKNOWN_DEG])
 def test_an_open_azimuth_is_not_accepted(second: float, plants: float, word: str, stated_deg: float) -> None:
-    found = merged_with_others([hypothesis(60.0, -100.0), hypothesis(second, -100.0)], CONFIG)
+    found = merged_with_others([hypothesis(60.0, -100.0), hypothesis(second, -100.0)])
     prior = PosePrior(found[0].refined.pose, stated_deg, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), plants).word == word
+    assert judge(found, False, prior, plants).word == word
 
 
 @pytest.mark.parametrize(
@@ -95,14 +98,14 @@ def test_an_open_azimuth_is_not_accepted(second: float, plants: float, word: str
 def test_an_alternative_must_cost_more_than_misfits_explain(gap: float, variance: float, word: str) -> None:
     found = [hypothesis(60.0, -100.0, variance), hypothesis(75.0, gap - 100.0)]
     prior = PosePrior(found[0].refined.pose, 6.0, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(verdict=CONFIG), 0.3).word == word
+    assert judge(found, False, prior, 0.3).word == word
 
 
 @pytest.mark.parametrize(("variance", "word"), [(1.0, "accepted"), (1.5, "ambiguous")])
 def test_ridges_do_not_speak_for_terrain_in_the_sky(variance: float, word: str) -> None:
     found = [hypothesis(60.0, -100.0, variance)]
     prior = PosePrior(found[0].refined.pose, 1.5, 0.5, 0.5)
-    assert judge(found, True, prior, PicturePoseConfig(), 0.3).word == word
+    assert judge(found, True, prior, 0.3).word == word
 
 
 @pytest.mark.parametrize(("away_deg", "word"), [(20.0, "accepted"), (22.0, "contradicts_prior")])
@@ -110,12 +113,12 @@ def test_a_pose_at_the_edge_of_the_search_is_not_taken(away_deg: float, word: st
     """A compass good to 6 degrees is searched to 24."""
     found = [hypothesis(60.0, -100.0)]
     prior = PosePrior(turned(found[0].refined.pose, np.radians([0.0, 0.0, away_deg])), 6.0, 0.5, 0.5)
-    assert judge(found, False, prior, PicturePoseConfig(), 0.3).word == word
+    assert judge(found, False, prior, 0.3).word == word
 
 
 def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
     skyline, ridges = moved(0.0, (0.6, 0.05, 0.2)), moved(0.5, (0.3, 0.05, 0.2))
-    both = mean_of_both(skyline, ridges, CONFIG)
+    both = mean_of_both(skyline, ridges)
     assert both is not None
     # Of 1 / 0.36 and 1 / 0.09 halves: (0 + 4 * 0.5) / 5 degrees to the right.
     assert both.refined.pose.angles_deg[0] == pytest.approx(60.4, abs=1e-3)
@@ -128,7 +131,7 @@ def test_of_skyline_and_ridges_each_counts_half_of_what_it_knows() -> None:
 @pytest.mark.parametrize(("apart_deg", "agree"), [(1.8, True), (2.0, False)])
 def test_skyline_and_ridges_that_contradict_each_other_have_no_mean(apart_deg: float, agree: bool) -> None:
     """Their difference has a sigma of 0.67 degrees: 7.8 is 2.79 of it, squared, 1.87 degrees."""
-    both = mean_of_both(moved(0.0, (0.6, 0.05, 0.2)), moved(apart_deg, (0.3, 0.05, 0.2)), CONFIG)
+    both = mean_of_both(moved(0.0, (0.6, 0.05, 0.2)), moved(apart_deg, (0.3, 0.05, 0.2)))
     assert (both is not None) == agree
 
 
@@ -136,7 +139,7 @@ def test_skyline_and_ridges_that_contradict_each_other_have_no_mean(apart_deg: f
 def test_what_ridges_hold_against_an_alternative_counts(gap_by_ridges: float | None, word: str) -> None:
     found = [hypothesis(60.0, -100.0), hypothesis(75.0, -97.0)]
     prior = PosePrior(found[0].refined.pose, 6.0, 0.5, 0.5)
-    verdict = judge(found, False, prior, PicturePoseConfig(), 0.3, gap_by_ridges)
+    verdict = judge(found, False, prior, 0.3, gap_by_ridges)
     assert verdict.word == word
     assert verdict.gap == pytest.approx(3.0 + (gap_by_ridges or 0.0))
 

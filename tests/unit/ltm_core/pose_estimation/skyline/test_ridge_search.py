@@ -4,7 +4,7 @@ from scenes.mountain_view import CAMERA, OPEN, PRIOR, TRUE, view
 from ltm_core.base.types import UInt8Array
 from ltm_core.geometry.pose import Pose
 from ltm_core.pose_estimation.skyline.contour_scores import picture_evidence
-from ltm_core.pose_estimation.skyline.picture_pose_config import PicturePoseConfig
+from ltm_core.pose_estimation.skyline.picture_pose_config import Criteria
 from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis
 from ltm_core.pose_estimation.skyline.pose_observations import PoseProblem
 from ltm_core.pose_estimation.skyline.pose_prior import angles_between, turned
@@ -12,12 +12,10 @@ from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, Skylin
 from ltm_core.pose_estimation.skyline.pose_search import search_ridges
 from ltm_core.vision.labels import Label
 
-CONFIG = PicturePoseConfig()
-
 
 def problem_of(picture: tuple[UInt8Array, UInt8Array]) -> PoseProblem:
     evidence = picture_evidence(*picture, CAMERA)
-    return PoseProblem(evidence, OPEN.horizon_for(evidence.camera, PRIOR), PRIOR, CONFIG)
+    return PoseProblem(evidence, OPEN.horizon_for(evidence.camera, PRIOR), PRIOR)
 
 
 def best_of(picture: tuple[UInt8Array, UInt8Array]) -> Hypothesis:
@@ -35,7 +33,7 @@ def test_a_crest_against_the_sky_is_laid_on_its_own_edge_and_not_on_what_is_belo
         photo[top : top + 5, u] = np.minimum(photo[top : top + 5, u].astype(int) + 25, 255)
     found = best_of((photo, labels))
     assert off_deg(found)[:2].max() < 0.1
-    assert found.ridge_score > CONFIG.verdict.plants_score
+    assert found.ridge_score > Criteria.plants_score
 
 
 def test_among_plants_crests_stand_over_the_dem_by_what_labels_say() -> None:
