@@ -250,9 +250,7 @@ def joined(stratum: Int64Array, sizes: ArrayLike) -> StratifiedSample:
 
 
 def kappa(first: Int64Array, second: Int64Array, classes: int) -> tuple[float, float]:
-    """Return agreement and Cohen's kappa of two interpreters' classes, (N,) each; NaN without common cells."""
-    if len(first) == 0:
-        return np.nan, np.nan
+    """Return agreement and Cohen's kappa of two interpreters' classes, (N,) each, of at least one cell."""
     table = np.bincount(first * classes + second, minlength=classes**2).reshape(classes, classes) / len(first)
     agreed = float(np.trace(table))
     chance = float(table.sum(axis=0) @ table.sum(axis=1))

@@ -163,16 +163,11 @@ class TreeCanopy(StrictModel):
     bulk_density: float = Field(ge=0)
 
 
-class ChangedBySystem(StrictModel):
-    fbfm40: ChangedCodes
-    fbfm13: ChangedCodes
-
-
 class FuelClimate(StrictModel):
     """Meaning of fuel codes in a climate: see `config/fuel/climates`."""
 
     description: str
-    changed: ChangedBySystem
+    changed: dict[FuelSystem, ChangedCodes] = Field(min_length=len(FuelSystem))
     canopy: TreeCanopy
     forest: ForestType = ForestType.MIXED_CONIFER
     """Forest type whose allometry gives crown base height and bulk density from cover and height."""
@@ -209,7 +204,7 @@ class FuelClimate(StrictModel):
     def changed_codes(self, codes: Int16Array, system: FuelSystem, to: FuelSystem) -> Int16Array:
         """Return (...) codes of changed cells in the other system: those of `changed` for the same cover; NODATA for
         codes that `changed` does not list."""
-        own, other = getattr(self.changed, system).model_dump(), getattr(self.changed, to).model_dump()
+        own, other = self.changed[system].model_dump(), self.changed[to].model_dump()
         found = np.full(codes.shape, NODATA, np.int16)
         # Covers that share a code in one system do not in the other: what is named first is the commoner.
         for key in reversed(own):

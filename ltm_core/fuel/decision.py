@@ -93,7 +93,7 @@ class ChangeDecision:
 
     def __init__(self, system: FuelSystem, rules: FusionRules, climate: FuelClimate) -> None:
         self._rules = rules
-        self._codes = getattr(climate.changed, system)
+        self._codes = climate.changed[system]
         # What a cell without evidence is depends on its code alone.
         every = np.arange(256, dtype=np.int16)
         none = np.zeros((256, FORMS), np.uint32)

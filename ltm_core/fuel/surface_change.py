@@ -106,7 +106,7 @@ def record(evidence: EvidenceMap, news: SurfaceNews) -> tuple[Int32Array, dict[K
                 continue
             agreeing = forms_of(np.array([given], np.int16))[0]
             if not agreeing[now - 1]:  # otherwise its prior's code is one of that form
-                codes = getattr(evidence.climate.changed, system_of(evidence.prior))
+                codes = evidence.climate.changed[system_of(evidence.prior)]
                 recorded[i] += int(codes.of(np.array(now - 1), agreeing[LifeForm.SHRUB - 1]))
             for name, array in state.items():
                 if name not in _KEPT:

@@ -70,13 +70,10 @@ class LensConfig(StrictModel):
         return self
 
     def lens(self) -> "ZoomLens":
-        return ZoomLens(
-            self.width,
-            self.height,
-            (self.width - 1) / 2 if self.cx is None else self.cx,
-            (self.height - 1) / 2 if self.cy is None else self.cy,
-            tuple((p.zoom, p.hfov_deg, p.k1, p.k2, p.p1, p.p2, p.k3) for p in self.zoom),
-        )
+        cx = (self.width - 1) / 2 if self.cx is None else self.cx
+        cy = (self.height - 1) / 2 if self.cy is None else self.cy
+        table = tuple((p.zoom, p.hfov_deg, p.k1, p.k2, p.p1, p.p2, p.k3) for p in self.zoom)
+        return ZoomLens(self.width, self.height, cx, cy, table)
 
 
 @dataclass(frozen=True)

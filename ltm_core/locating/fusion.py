@@ -8,36 +8,23 @@ from functools import cached_property
 import numpy as np
 
 from ltm_core.base.kernels import kernel
-from ltm_core.base.types import BoolArray, Float32Array, Float64Array
+from ltm_core.base.types import Float32Array, Float64Array
 from ltm_core.geometry.grid import GridGeometry
-from ltm_core.locating.directions import SightLikelihood
-from ltm_core.locating.sight_fan import SightFan
 from ltm_core.locating.sighting import Bounds, LocatingTerrain, Sight
 
 
-@dataclass(frozen=True, eq=False)
-class SightRaster:
-    """Sight raster of one fan, (H, W) each. `density`: of the marked direction, given the cell; 0 where the fan has no
-    sample. `fit`: of the cell's best sample. `lift`: metres above the ground from which something is visible."""
-
-    density: Float64Array
-    fit: Float64Array
-    lift: Float64Array
-
-    @property
-    def reached(self) -> BoolArray:
-        return np.asarray(self.density > 0)
-
-
-def sight_raster(fan: SightFan, likelihood: SightLikelihood, eye: Float64Array, window: GridGeometry) -> SightRaster:
-    """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its share."""
+def sight_rasters(sight: Sight, window: GridGeometry) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Rasterise a fan: every sample covers its part of the sector, as long as its step and as wide as its share. Return
+    (H, W) density of the marked direction, given the cell, 0 where the fan has no sample; fit of the cell's best
+    sample; metres above the ground from which something is visible."""
+    fan, likelihood, eye = sight.fan, sight.likelihood, sight.position
     sums = np.zeros((4, *window.shape))
     origin = np.array([eye[0] - window.x_min, window.y_max - eye[1]]) / window.resolution
     densities = likelihood.density, likelihood.fit, likelihood.lifts
     _splat(fan.ranges, fan.steps, fan.widths, fan.azimuths, *densities, origin, 1 / window.resolution, sums)
     total, area, lift, fit = sums
     with np.errstate(invalid="ignore", divide="ignore"):
-        return SightRaster(np.where(area > 0, total / area, 0.0), fit, np.where(total > 0, lift / total, 0.0))
+        return np.where(area > 0, total / area, 0.0), fit, np.where(total > 0, lift / total, 0.0)
 
 
 @kernel(nogil=True)
@@ -172,14 +159,14 @@ def _fused(
     window: GridGeometry,
     turned: Sequence[Sight] = (),
 ) -> Fused:
-    by_camera: dict[str, list[SightRaster]] = {}
+    by_camera: dict[str, list[tuple[Float64Array, Float64Array, Float64Array]]] = {}
     positions: dict[str, Float64Array] = {}
     possible = np.ones(window.shape, np.bool_)
     for sight in (*sights, *turned):
-        raster = sight_raster(sight.fan, sight.likelihood, sight.position, window)
-        by_camera.setdefault(sight.name, []).append(raster)
+        rasters = sight_rasters(sight, window)
+        by_camera.setdefault(sight.name, []).append(rasters)
         positions[sight.name] = sight.position
-        possible &= raster.reached
+        possible &= rasters[0] > 0
     rows, cols = np.nonzero(possible)
     misfit, weight, lift = np.full(window.shape, np.inf), np.zeros(window.shape), np.zeros(window.shape)
     if not len(rows):
@@ -187,15 +174,15 @@ def _fused(
     x, y = window.to_map(rows, cols)
     fit, density, evidence, raised = (np.zeros(len(rows)) for _ in range(4))
     loose = {sight.name for sight in turned}
-    for name, rasters in by_camera.items():
-        part = 1 / (shared[name] * len(rasters))
-        for raster in rasters:
-            fit += np.log(np.maximum(raster.fit[rows, cols], 1e-30)) / len(rasters)
-            here = np.log(raster.density[rows, cols])
+    for name, marks in by_camera.items():
+        part = 1 / (shared[name] * len(marks))
+        for of_mark, best, lifted in marks:
+            fit += np.log(np.maximum(best[rows, cols], 1e-30)) / len(marks)
+            here = np.log(of_mark[rows, cols])
             density += here * part
-            evidence += here / len(rasters)
+            evidence += here / len(marks)
             if name not in loose:  # what it marks may be something else
-                raised = np.maximum(raised, raster.lift[rows, cols])
+                raised = np.maximum(raised, lifted[rows, cols])
         squared = (x - positions[name][0]) ** 2 + (y - positions[name][1]) ** 2
         noticed = np.log1p(squared / terrain.config.detection_range**2)
         density -= noticed / shared[name]

@@ -2,8 +2,6 @@
 
 What stands above the reference is few cells: each is projected into the image."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ltm_core.base.kernels import kernel
@@ -21,16 +19,6 @@ there are ignored."""
 FIRM_LOOKS = 2.5
 """Number of observations above which independent views are needed to revert growth; below, one view through it is
 enough."""
-
-
-class ElevatedCells(NamedTuple):
-    """Cells in memory with an object above the reference, (N,) each: slot, cell of the tile, the object's height above
-    the reference in metres, and whether it is a candidate."""
-
-    slot: Int32Array
-    cell: Int32Array
-    dz: Float32Array
-    candidate: BoolArray
 
 
 def see_through(
@@ -71,8 +59,8 @@ def see_through(
     u, v = (at[inside] + 0.5).round().astype(np.int32).T
     kept = near[inside]
     kept = kept[_passed(u, v, away[kept], pixels, rules.gate)]
-    seen = ElevatedCells(slot[which[kept]], cell[which[kept]].astype(np.int32), dz[kept], candidate[kept])
-    _apply(cells, seen, seconds, bit, rules)
+    objects = slot[which[kept]], cell[which[kept]].astype(np.int32), dz[kept], candidate[kept]
+    _apply(cells, *objects, seconds, bit, rules)
 
 
 def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, gate: float) -> BoolArray:
@@ -88,18 +76,29 @@ def _passed(u: Int32Array, v: Int32Array, away: Float64Array, pixels: Pixels, ga
 
 
 @kernel()
-def _apply(cells: TileCells, standing: ElevatedCells, seconds: int, bit: int, rules: Rules) -> None:
-    for i in range(len(standing.slot)):
-        slot, k = standing.slot[i], standing.cell[i]
+def _apply(
+    cells: TileCells,
+    slots: Int32Array,
+    places: Int32Array,
+    dz: Float32Array,
+    candidate: BoolArray,
+    seconds: int,
+    bit: int,
+    rules: Rules,
+) -> None:
+    """Take (N,) objects off cells: slot, cell of the tile, the object's height above the reference in metres, and
+    whether it is a candidate."""
+    for i in range(len(slots)):
+        slot, k = slots[i], places[i]
         e = cells.records[slot, k]
-        if standing.candidate[i]:
+        if candidate[i]:
             e.c_looks = 0
         elif e.looks < FIRM_LOOKS:
             e.looks = e.weight = 0
             e.cameras = 0
             e.frames = 0
         else:
-            limit, own = np.float32(standing.dz[i] * INSIDE), np.float32(rules.carve_variance)
+            limit, own = np.float32(dz[i] * INSIDE), np.float32(rules.carve_variance)
             update_cell(
                 cells, slot, k, limit, own, own, np.float32(0.0), True, seconds, bit, rules.independent_after, rules
             )

@@ -39,29 +39,24 @@ _SAME_CAMERA, _SAME_DAY = 0.5, 0.7
 
 
 @dataclass(frozen=True, eq=False)
-class CellPhoto:
-    """A photo of `width` x `height` pixels that shows a cell. `outline`: (N, 2) the cell's edge in pixels (u, v).
-    `pose`: map frame. `range_m`: distance of the cell's centre; `incidence_deg`: angle between the line of sight and
-    the ground's normal."""
+class Shot:
+    """A clear photo. `pose`: map frame."""
 
-    camera: str
-    stamp_ns: int
-    jpeg: bytes
-    width: int
-    height: int
-    outline: Float64Array
-    pose: Pose
-    range_m: float
-    incidence_deg: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Shot:
     camera_name: str
     stamp_ns: int
     camera: Camera
     pose: Pose
     jpeg: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class CellPhoto(Shot):
+    """A photo that shows a cell. `outline`: (N, 2) the cell's edge in pixels (u, v). `range_m`: distance of the cell's
+    centre; `incidence_deg`: angle between the line of sight and the ground's normal."""
+
+    outline: Float64Array
+    range_m: float
+    incidence_deg: float
 
 
 class PhotoIndex:
@@ -104,9 +99,7 @@ class PhotoIndex:
             away = arrival_directions(shot.pose.position, middle, self._sight.bend)
             incidence = float(np.degrees(np.arccos(np.clip(-(away * normal).sum(), -1, 1))))
             distance = float(np.linalg.norm(middle - shot.pose.position))
-            size = shot.camera.width, shot.camera.height
-            photo = shot.camera_name, shot.stamp_ns, shot.jpeg, *size, outline, shot.pose, distance, incidence
-            chosen.append(CellPhoto(*photo))
+            chosen.append(CellPhoto(**vars(shot), outline=outline, range_m=distance, incidence_deg=incidence))
         return chosen
 
     def _points(self, over: Dem, cell: SampledCell, offsets: Float64Array) -> Float64Array:
@@ -133,7 +126,7 @@ def _area(outline: Float64Array) -> float:
     return abs(float(np.dot(u, np.roll(v, 1)) - np.dot(v, np.roll(u, 1)))) / 2
 
 
-_Found = tuple[float, _Shot, Float64Array]
+_Found = tuple[float, Shot, Float64Array]
 
 
 def _different(found: Sequence[_Found]) -> list[_Found]:
@@ -168,7 +161,7 @@ def _bags(path: Path) -> list[Path]:
     return sorted({file.parent for file in below if is_bag_file(file.name)}) or [path]
 
 
-def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[_Shot]:
+def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[Shot]:
     """Return a recording's clear photos; of more than `most`, evenly chosen ones of each camera."""
     stream = FrameStream(bag, site, {part: PARTS[part] for part in ("photo", "camera", "pose")})
     fixed = {name: c.pose.pose(dem, site.frame) for name, c in site.cameras.items() if c.pose is not None}
@@ -194,7 +187,7 @@ def _shots(bag: Path, site: Site, dem: Dem, most: int) -> list[_Shot]:
         camera = _taken(frame, "camera") or cameras[name]  # the zoom of this frame
         if photo.shape[:2] != (camera.height, camera.width):
             camera = camera.resized(photo.shape[1], photo.shape[0])
-        found.append(_Shot(name, frame.stamp_ns, camera, pose, to_jpeg(photo, quality=92)))
+        found.append(Shot(name, frame.stamp_ns, camera, pose, to_jpeg(photo, quality=92)))
     return found
 
 

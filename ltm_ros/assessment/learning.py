@@ -56,7 +56,7 @@ def learn(plan: Plan, photos: PhotoIndex) -> Learned:
         for photo in photos.best(cell, plan.cell_m):
             if photo.incidence_deg > _INCIDENCE_DEG:
                 continue
-            name = f"{photo.camera}_{photo.stamp_ns}.jpg"
+            name = f"{photo.camera_name}_{photo.stamp_ns}.jpg"
             if name not in images:
                 replace_file(folder / name, photo.jpeg)
                 images.add(name)

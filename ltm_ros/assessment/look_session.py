@@ -87,11 +87,11 @@ class LookSession:
             taken = datetime.fromtimestamp(photo.stamp_ns // 10**9, UTC)
             photos.append(
                 {
-                    "camera": photo.camera,
+                    "camera": photo.camera_name,
                     "time": f"{taken:%Y-%m-%d %H:%M} UTC",
                     "range_m": round(photo.range_m),
                     "outline": photo.outline.round(1).tolist(),
-                    "size": [photo.width, photo.height],
+                    "size": [photo.camera.width, photo.camera.height],
                     "from": [0.5 + float(east), 0.5 - float(north)],
                 }
             )

@@ -105,7 +105,7 @@ def _cropped(photo: CellPhoto) -> RgbImage:
     picture = np.ascontiguousarray(decode_rgb(photo.jpeg))
     for color, width in (((255, 255, 255), 3), ((213, 40, 130), 1)):
         cv2.polylines(picture, [np.round(photo.outline).astype(np.int32)], True, color, width, cv2.LINE_AA)
-    size = np.array([photo.width, photo.height])
+    size = np.array([photo.camera.width, photo.camera.height])
     left, top = np.clip(((low + high) / 2 - side / 2).astype(int), 0, np.maximum(size - side, 0)).tolist()
     return fit(picture[top : top + side, left : left + side], _CROP)
 
@@ -115,7 +115,7 @@ def _wrong(figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[dict[s
     found = []
     for index in np.flatnonzero(~figures.right)[:_SHOWN_ERRORS].tolist():
         photos = [
-            (f"{p.camera}, {moment_of_stamp(p.stamp_ns):%Y-%m-%d %H:%M}, {p.range_m:,.0f} m", _cropped(p))
+            (f"{p.camera_name}, {moment_of_stamp(p.stamp_ns):%Y-%m-%d %H:%M}, {p.range_m:,.0f} m", _cropped(p))
             for p in seen[index]
         ]
         names = {"mapped": NAMES[figures.mapped[index]], "reference": NAMES[figures.reference[index]]}
@@ -143,8 +143,10 @@ def _tables(figures: Figures, seen: Sequence[Sequence[CellPhoto]]) -> list[tuple
             low = high
         return [*rows, row("no photo", np.isnan(values))]
 
-    cameras = sorted({photo.camera for photos in seen for photo in photos})
-    by_camera = [row(name, np.array([any(p.camera == name for p in photos) for photos in seen])) for name in cameras]
+    cameras = sorted({photo.camera_name for photos in seen for photo in photos})
+    by_camera = [
+        row(name, np.array([any(p.camera_name == name for p in photos) for photos in seen])) for name in cameras
+    ]
     every = [
         ("range of the nearest photo", bins(best(lambda p: p.range_m), _RANGES, "m")),
         ("incidence angle", bins(best(lambda p: p.incidence_deg), _INCIDENCES, "degrees")),

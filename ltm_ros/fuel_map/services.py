@@ -1,7 +1,6 @@
 """What the node `fuel_map` offers: its parameters and topics, and its services (query a point, burn a region)."""
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -134,25 +133,9 @@ def answer(evidence: EvidenceMap, store: TileStore | None, classes: LabelSet, x:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnRegion:
-    """A region of the map that was drawn: `cells` (H, W) whose centres lie inside, one or more; its stamp, 0 for
-    none."""
-
-    cells: BoolArray
-    stamp_ns: int
-
-    @property
-    def window(self) -> Window:
-        """Return row, col, height, width of its bounds."""
-        rows, cols = np.nonzero(self.cells)
-        top, left = int(rows.min()), int(cols.min())
-        return top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1
-
-
-def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
-    """Return the cells in a PolygonStamped. Raises MessageError for another frame, an invalid polygon, or one without
-    cells."""
+def region_of(message: Any, geometry: GridGeometry) -> tuple[BoolArray, int]:
+    """Return the cells (H, W) of the map whose centres lie in a PolygonStamped, and its stamp, 0 for none. Raises
+    MessageError for another frame, an invalid polygon, or one without cells."""
     from rasterio.features import geometry_mask
 
     corners = [(float(p.x), float(p.y)) for p in message.polygon.points[: MOST_CORNERS + 1]]
@@ -166,14 +149,17 @@ def region_of(message: Any, geometry: GridGeometry) -> DrawnRegion:
         raise MessageError(
             f"region from {corners[0]} on contains no cell of the map, {geometry.bounds} in the map frame"
         )
-    return DrawnRegion(cells, stamp_of(message))
+    return cells, stamp_of(message)
 
 
-def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> dict[Key, Tile]:
-    """Return the state of the tiles of these cells, burned at that time. Raises MessageError for an invalid time."""
+def burned(evidence: EvidenceMap, cells: BoolArray, stamp_ns: int) -> tuple[dict[Key, Tile], Window]:
+    """Return the state of the tiles of these cells, burned at that time, and the bounds of the cells. Raises
+    MessageError for an invalid time."""
     try:
         evidence.burn(cells, stamp_ns)
     except ImageError as error:
         raise MessageError(str(error)) from error
-    keys = sorted({(int(row) // TILE, int(col) // TILE) for row, col in np.argwhere(cells)})
-    return {key: evidence.tile_state(key) for key in keys}
+    places = np.argwhere(cells)
+    keys = sorted({(int(row) // TILE, int(col) // TILE) for row, col in places})
+    (top, left), (bottom, right) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    return {key: evidence.tile_state(key) for key in keys}, (top, left, bottom - top + 1, right - left + 1)

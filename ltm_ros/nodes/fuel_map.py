@@ -6,6 +6,7 @@ from typing import Any
 
 from ltm_core.base.errors import ConfigError, MessageError, StoreError
 from ltm_core.base.resources import config_path
+from ltm_core.base.types import BoolArray
 from ltm_core.fuel.class_map import write_fuel_map
 from ltm_core.fuel.evidence import EvidenceMap
 from ltm_core.fuel.label_errors import LabelErrors
@@ -25,14 +26,7 @@ from ltm_msgs_py.stamp import stamp_of
 from ltm_ros.fuel_map.export import write_landscapes
 from ltm_ros.fuel_map.persistence import Counting, FuelMapPersistence
 from ltm_ros.fuel_map.self_measurement import DriftWatch, SelfMeasurement
-from ltm_ros.fuel_map.services import (
-    DrawnRegion,
-    FuelMapConfig,
-    FuelPublisher,
-    answer,
-    burned,
-    region_of,
-)
+from ltm_ros.fuel_map.services import FuelMapConfig, FuelPublisher, answer, burned, region_of
 from ltm_ros.fuel_map.terrain_changes import SurfaceListener
 from ltm_ros.runtime import topics
 from ltm_ros.runtime.handler import Handler, NodeType, Outlet, Topic
@@ -74,7 +68,7 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             grid = terrain_grid(dem.geometry, self._site.terrain.resolution)
             self._surface = SurfaceListener(grid, self.persistence, health, self._stamps.ahead)
         self._models: dict[str, str] = {}
-        self._region: DrawnRegion | None = None
+        self._region: tuple[BoolArray, int] | None = None
         self._paced = False
 
     @property
@@ -203,15 +197,15 @@ class FuelMapHandler(Handler[FuelMapConfig]):
             )
         if self._region is None:
             raise ConfigError("no region is selected: first publish its corners on fuel_map/region, in the frame map")
-        region, self._region = self._region, None
-        stamp = region.stamp_ns or self.outlet.now_ns() or self.persistence.map.newest_ns
+        (cells, stamp), self._region = self._region, None
+        stamp = stamp or self.outlet.now_ns() or self.persistence.map.newest_ns
         if self._stamps.ahead("the burned region", stamp):
             raise MessageError(f"the burn stamp {stamp} ns is in the future of this node's clock")
-        tiles = burned(self.persistence.map, region.cells, stamp)
-        self.persistence.replace_tiles(tiles, BURN_SOURCE, stamp, region.window)
+        tiles, window = burned(self.persistence.map, cells, stamp)
+        self.persistence.replace_tiles(tiles, BURN_SOURCE, stamp, window)
         self._settle(write_tiles=True)
         self._publisher.send_map()
-        return f"{int(region.cells.sum())} cells burned at stamp {stamp} ns"
+        return f"{int(cells.sum())} cells burned at stamp {stamp} ns"
 
     def _measure(self, at_once: bool) -> None:
         """Measure unmeasured labels when there are enough frames, and count these again with the result."""

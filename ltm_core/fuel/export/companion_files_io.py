@@ -50,13 +50,8 @@ def write_palette_style(raster: Path, entries: Iterable[Entry], band: int = 1) -
     """Write a style that shows a band's values by name. Raises ConfigError if it cannot be written."""
     palette = Element("colorPalette")
     for value, label, color in entries:
-        attributes = {
-            "value": str(value),
-            "label": label,
-            "color": "#{:02x}{:02x}{:02x}".format(*color),
-            "alpha": "255",
-        }
-        SubElement(palette, "paletteEntry", attributes)
+        shown = {"value": str(value), "label": label, "color": "#{:02x}{:02x}{:02x}".format(*color), "alpha": "255"}
+        SubElement(palette, "paletteEntry", shown)
     return _write(raster, {"type": "paletted", "band": str(band)}, palette)
 
 

@@ -63,11 +63,11 @@ def test_changed_cells_take_the_climates_codes_in_both_systems(climate: str) -> 
     assert layers.changed.sum() == 6
     for system in (F40, F13):
         found = surface_codes(layers, prior, FuelClimate.named(climate), system)
-        assert found[0].tolist() == [getattr(getattr(changed, system), key) for key in keys]
+        assert found[0].tolist() == [getattr(changed[system], key) for key in keys]
     # The map's own FBFM13 holds where nothing has changed, and only there.
     own = np.full(prior.codes.shape, 7, np.int16)
     found = surface_codes(layers, replace(prior, fbfm13=own), FuelClimate.named(climate), F13)
-    assert found[0].tolist() == [getattr(changed.fbfm13, key) for key in keys]
+    assert found[0].tolist() == [getattr(changed[F13], key) for key in keys]
     assert (found[1] == 7).all()
 
 
@@ -117,7 +117,7 @@ def test_the_tables_of_a_climate_name_each_code_once_and_mix_no_fuel_types(clima
     pairs = [*found.crosswalk.items(), *((code, to) for code, (_, to) in found.under_trees.items())]
     assert all(to in partners(code) for code, to in pairs)
     assert all(code in partners(to) for code, to in found.crosswalk_back.items())
-    codes = found.changed.fbfm40.model_dump(), found.changed.fbfm13.model_dump()
+    codes = found.changed[F40].model_dump(), found.changed[F13].model_dump()
     assert set(codes[0].values()) <= models.codes(F40)
     assert all(codes[1][key] in (partners(code) or (code,)) for key, code in codes[0].items())
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ltm_core.base.errors import ConfigError
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose
 from ltm_core.label_heads.labelled_frames import read_frames
 from ltm_core.pictures import to_jpeg
@@ -22,9 +23,8 @@ class _OnePhoto:
         left = 20.0 * cell.column
         outline = np.array([[left, 20.0], [left + 10, 20.0], [left + 10, 30.0], [left, 30.0]])
         pose = Pose.from_angles((0, 0, 10), 0, 0, 0)
-        return [
-            CellPhoto("north", 5, to_jpeg(np.full((60, 200, 3), 90, np.uint8)), 200, 60, outline, pose, 500.0, 60.0)
-        ]
+        camera, jpeg = Camera.from_fov(200, 60, 50.0), to_jpeg(np.full((60, 200, 3), 90, np.uint8))
+        return [CellPhoto("north", 5, camera, pose, jpeg, outline, 500.0, 60.0)]
 
 
 def answer(cell: int, form: str, certainty: Certainty = "sure") -> Answer:
