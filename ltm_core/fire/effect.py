@@ -85,13 +85,6 @@ def _first(arrivals: Float32Array) -> float | None:
     return float(known.min()) if known.size else None
 
 
-def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
-    """Return (H, W) cells with a different fuel model or canopy band. Raises RasterError for different grids."""
-    if before.geometry.shape != after.geometry.shape:
-        raise RasterError(f"landscapes of {before.geometry.shape} and {after.geometry.shape} cells cannot be compared")
-    return np.asarray((before.bands[3:] != after.bands[3:]).any(axis=0))
-
-
 def read_landscape(path: Path) -> Landscape:
     """Read a landscape. Raises RasterError for a file without the eight bands, a metric CRS or square cells."""
     with open_raster(path) as source:

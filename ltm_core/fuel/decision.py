@@ -103,12 +103,7 @@ class ChangeDecision:
         self._known = np.asarray(forms_of(every).any(axis=1))
 
     def decide(
-        self,
-        codes: Int16Array,
-        touched: BoolArray,
-        cells: CellEvidence,
-        now_s: float,
-        company: UInt8Array | None,
+        self, codes: Int16Array, touched: BoolArray, cells: CellEvidence, now_s: float, company: UInt8Array | None
     ) -> FuelLayers:
         """Return the layers of a part of the grid, except `last_seen` and `seen_by`, which are zero; near an inner edge
         (`EvidenceMap.reached_from`) they may be those of a map that ends there. `codes`: (H, W) of the prior. `cells`:

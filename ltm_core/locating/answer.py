@@ -98,21 +98,16 @@ class PlaceName:
     elevation: float | None
 
 
-@dataclass(frozen=True)
-class Fuel:
-    code: int
-    name: str
-
-
 @dataclass(frozen=True, eq=False)
 class LocateResult:
-    """Result of locating. `ellipses`: by SHARES, in the map frame. `views`: of the mean place, by all cameras."""
+    """Result of locating. `ellipses`: by SHARES, in the map frame. `fuel`: as `fuel_at`. `views`: of the mean place, by
+    all cameras."""
 
     location: Location
     name: PlaceName
     elevation_sigma: float
     ellipses: tuple[Ellipse, ...]
-    fuel: Fuel | None
+    fuel: dict[str, Any] | None
     views: tuple[PlaceView, ...]
     smoke: bool
 
@@ -162,15 +157,15 @@ def _mgrs(lon: float, lat: float) -> str | None:
     return f"{text[:zone]} {text[zone : zone + 2]} {text[zone + 2 : zone + 7]} {text[zone + 7 :]}"
 
 
-def fuel_at(prior: FuelPrior | None, x: float, y: float) -> Fuel | None:
-    """Return the prior's fuel model at a place of the map; None if unknown."""
+def fuel_at(prior: FuelPrior | None, x: float, y: float) -> dict[str, Any] | None:
+    """Return `code` and `name` of the prior's fuel model at a place of the map; None if unknown."""
     if prior is None:
         return None
     row, col = (int(v) for v in prior.geometry.cell_of(x, y))
     if not bool(prior.geometry.contains(row, col)) or prior.codes[row, col] == NODATA:
         return None
     code = int(prior.codes[row, col])
-    return Fuel(code, fuel_models().name(code))
+    return {"code": code, "name": fuel_models().name(code)}
 
 
 def as_data(said: LocateResult, frame: SiteFrame) -> dict[str, Any]:
@@ -188,7 +183,7 @@ def as_data(said: LocateResult, frame: SiteFrame) -> dict[str, Any]:
         "modes": [{"share": m.share, "x": m.centre[0] + x0, "y": m.centre[1] + y0} for m in posterior.modes],
         "smoke": said.smoke,
         "least_visible_height": said.location.lift if said.smoke else None,
-        "fuel": None if said.fuel is None else asdict(said.fuel),
+        "fuel": said.fuel,
         "agreement": None,
         "cameras": [view_data(view, frame) for view in said.views],
     }

@@ -142,7 +142,7 @@ def _print_answer(said: LocateResult, frame: SiteFrame) -> None:
     if said.smoke and said.location.lift > 1:
         rows.append(("hidden below", f"{said.location.lift:.0f} m above the ground there (mean)"))
     if said.fuel is not None:
-        rows.append(("fuel (prior map)", f"{said.fuel.name} ({said.fuel.code})"))
+        rows.append(("fuel (prior map)", f"{said.fuel['name']} ({said.fuel['code']})"))
     print_table("base of the smoke" if said.smoke else "on the ground", ("", ""), rows)
     agreement = said.location.agreement
     if agreement is not None and not agreement.agree:
@@ -173,11 +173,11 @@ def _show_place(
     fuel = fuel_at(scene.prior(), float(target[0]), float(target[1]))
     known = place_name(scene.frame, *(float(v) for v in target))
     seen_by = [view_data(view, scene.frame) for view in views]
-    data = {"name": "place", "place": vars(known), "fuel": None if fuel is None else vars(fuel), "cameras": seen_by}
+    data = {"name": "place", "place": vars(known), "fuel": fuel, "cameras": seen_by}
     if not as_json:
         say(
             f"{known.x:.1f}, {known.y:.1f}, {target[2]:.1f} m; {known.lon:.6f}, {known.lat:.6f}; "
-            f"{known.mgrs or ''}" + ("" if fuel is None else f"; fuel {fuel.name}")
+            f"{known.mgrs or ''}" + ("" if fuel is None else f"; fuel {fuel['name']}")
         )
         _print_views(views)
     files = {}

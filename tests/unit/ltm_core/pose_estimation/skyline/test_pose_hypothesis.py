@@ -8,12 +8,7 @@ import pytest
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.pose import Pose, pose_covariance
 from ltm_core.pose_estimation.skyline.picture_pose_config import Criteria
-from ltm_core.pose_estimation.skyline.pose_hypothesis import (
-    Hypothesis,
-    judge,
-    mean_of_both,
-    merged_with_others,
-)
+from ltm_core.pose_estimation.skyline.pose_hypothesis import Hypothesis, judge, mean_of_both, merged_with_others
 from ltm_core.pose_estimation.skyline.pose_prior import UNKNOWN_DEG, PosePrior, turned
 from ltm_core.pose_estimation.skyline.pose_refinement import RefinedPose, SkylineFit
 
