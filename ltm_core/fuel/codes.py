@@ -63,24 +63,6 @@ class FuelSystem(StrEnum):
 
 
 class FuelModel(StrictModel):
-    """One burnable fuel model, in its publication's units (see `config/fuel/fuel_models.yaml`)."""
-
-    name: str
-    description: str
-    depth: float = Field(gt=0)
-    """Depth of the fuel bed in feet."""
-    extinction: float = Field(gt=0)
-    """Dead fuel moisture of extinction in %."""
-    load: tuple[float, float, float, float, float]
-    """Fuel load in short tons per acre: 1 h, 10 h, 100 h, live herbaceous, live woody."""
-    sav: tuple[float | None, float | None, float | None]
-    """Surface-to-volume ratio in 1/ft: 1 h, live herbaceous, live woody fuel."""
-    heat: float = Field(default=8000.0, gt=0)
-    """Heat content in Btu/lb."""
-    color: Color
-
-
-class NonburnableModel(StrictModel):
     name: str
     description: str
     color: Color
@@ -91,9 +73,9 @@ class FuelModels(StrictModel):
 
     fbfm13: dict[int, FuelModel]
     fbfm40: dict[int, FuelModel]
-    nonburnable: dict[int, NonburnableModel]
+    nonburnable: dict[int, FuelModel]
 
-    def find(self, code: int) -> FuelModel | NonburnableModel | None:
+    def find(self, code: int) -> FuelModel | None:
         """Return the model of a code; None for an invalid code."""
         return self.fbfm40.get(code) or self.fbfm13.get(code) or self.nonburnable.get(code)
 
