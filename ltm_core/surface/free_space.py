@@ -86,8 +86,8 @@ def _apply(
     bit: int,
     rules: Rules,
 ) -> None:
-    """Take (N,) objects off cells: slot, cell of the tile, the object's height above the reference in metres, and
-    whether it is a candidate."""
+    """Drop (N,) objects, or count this image against them: slot, cell of the tile, the object's height above the
+    reference in metres, and whether it is a candidate."""
     for i in range(len(slots)):
         slot, k = slots[i], places[i]
         e = cells.records[slot, k]
