@@ -75,8 +75,8 @@ def run_fires(pair: MapPair, scenario: FireScenario, progress: Callable[[str], N
         run, version = spread(landscape, scenario)
         runs.append(run)
         seconds.append(time.monotonic() - started)
-    changed = (pair.before.bands[3:] != pair.after.bands[3:]).any(axis=0)  # fuel or canopy
-    effect = FireEffect(*runs, changed, pair.after.geometry.resolution, scenario.hours)
+    changed, cell = (pair.before.bands[3:] != pair.after.bands[3:]).any(axis=0), pair.after.geometry.resolution
+    effect = FireEffect(runs[0], runs[1], changed, cell, scenario.hours)
     return FireResult(effect, f"Pyretechnics {version}", tuple(seconds))
 
 
