@@ -10,10 +10,16 @@ from ltm_core.raster.dem import Dem
 
 
 def ground_normals(dem: Dem, x: Float64Array, y: Float64Array, half: float) -> Float64Array:
-    """Return the upward unit normals (..., 3) of the ground over `half` metres each way; NaN where a height is
-    unknown."""
-    east = (dem.elevation_at(x + half, y) - dem.elevation_at(x - half, y)) / (2 * half)
-    north = (dem.elevation_at(x, y + half) - dem.elevation_at(x, y - half)) / (2 * half)
+    """Return the upward unit normals (..., 3) of the ground over `half` metres each way, or one way where the ground is
+    unknown the other; NaN where neither is known."""
+    here = dem.elevation_at(x, y)
+
+    def slope(before: Float64Array, after: Float64Array) -> Float64Array:
+        one_way = np.where(np.isnan(after), here - before, after - here) / half
+        return np.where(np.isnan(after - before), one_way, (after - before) / (2 * half))
+
+    east = slope(dem.elevation_at(x - half, y), dem.elevation_at(x + half, y))
+    north = slope(dem.elevation_at(x, y - half), dem.elevation_at(x, y + half))
     length = np.sqrt(1 + east**2 + north**2)
     return np.stack([-east / length, -north / length, 1 / length], axis=-1)
 
