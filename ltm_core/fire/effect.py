@@ -85,6 +85,11 @@ def _first(arrivals: Float32Array) -> float | None:
     return float(known.min()) if known.size else None
 
 
+def changed_fuel(before: Landscape, after: Landscape) -> BoolArray:
+    """Return (H, W) cells with a different fuel model or canopy band, of landscapes on one grid."""
+    return np.asarray((before.bands[3:] != after.bands[3:]).any(axis=0))
+
+
 def read_landscape(path: Path) -> Landscape:
     """Read a landscape. Raises RasterError for a file without the eight bands, a metric CRS or square cells."""
     with open_raster(path) as source:

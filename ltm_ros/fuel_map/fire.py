@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.number_text import difference, number
-from ltm_core.fire.effect import FireEffect, FireScenario, read_landscape, require_same_grid, write_fire
+from ltm_core.fire.effect import FireEffect, FireScenario, changed_fuel, read_landscape, require_same_grid, write_fire
 from ltm_core.fire.pyretechnics import spread
 from ltm_core.fuel.export.companion_files_io import write_kmz
 from ltm_core.fuel.export.export_grid import with_fuel
@@ -75,7 +75,7 @@ def run_fires(pair: MapPair, scenario: FireScenario, progress: Callable[[str], N
         run, version = spread(landscape, scenario)
         runs.append(run)
         seconds.append(time.monotonic() - started)
-    changed, cell = (pair.before.bands[3:] != pair.after.bands[3:]).any(axis=0), pair.after.geometry.resolution
+    changed, cell = changed_fuel(pair.before, pair.after), pair.after.geometry.resolution
     effect = FireEffect(runs[0], runs[1], changed, cell, scenario.hours)
     return FireResult(effect, f"Pyretechnics {version}", tuple(seconds))
 
