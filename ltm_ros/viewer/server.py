@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from http import HTTPStatus
 from importlib.util import find_spec
 from pathlib import Path
@@ -152,19 +153,16 @@ def _page_routes(own_page: int, grpc_port: int) -> dict[str, Route]:
         f"connect-src 'self' data: blob: http://{LOOPBACK}:{grpc_port}; frame-ancestors 'none'"
     )
 
-    def route(name: str) -> Route:
-        def answer(_: bytes) -> WebResponse:
-            with contextlib.closing(http.client.HTTPConnection(LOOPBACK, own_page, timeout=30)) as connection:
-                connection.request("GET", f"/{name}")
-                response = connection.getresponse()
-                body, kind = response.read(), response.getheader("Content-Type", "application/octet-stream")
-            if kind.startswith("text/html"):
-                body = _FOREIGN_LINK.sub(b"", body)
-            return WebResponse(body, kind, HTTPStatus(response.status), policy)
+    def answer(name: str, _: bytes) -> WebResponse:
+        with contextlib.closing(http.client.HTTPConnection(LOOPBACK, own_page, timeout=30)) as connection:
+            connection.request("GET", f"/{name}")
+            response = connection.getresponse()
+            body, kind = response.read(), response.getheader("Content-Type", "application/octet-stream")
+        if kind.startswith("text/html"):
+            body = _FOREIGN_LINK.sub(b"", body)
+        return WebResponse(body, kind, HTTPStatus(response.status), policy)
 
-        return answer
-
-    return {f"GET /{name}": route(name) for name in _PAGE_FILES}
+    return {f"GET /{name}": partial(answer, name) for name in _PAGE_FILES}
 
 
 def listens(port: int) -> bool:
