@@ -10,7 +10,7 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.storage.disk_io import DiskReserve
+from ltm_core.storage.disk_io import DiskReserve, sync
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, to_yaml
 from ltm_msgs_py.bag.repair import finish_cut_file
 from ltm_msgs_py.bag.schemas import schema_text
@@ -42,9 +42,6 @@ class _Unbuffered:
 
     def flush(self) -> None:
         """Do nothing; nothing is buffered."""
-
-    def sync(self) -> None:
-        os.fsync(self._file.fileno())
 
     def close(self) -> None:
         self._file.close()
@@ -118,7 +115,7 @@ class McapFile:
         self._reserve.give_up()
         self._writer.add_metadata("rosbag2", dict(metadata))
         self._writer.finish()
-        self._stream.sync()
+        sync(self.path)
         self._stream.close()
 
     def abandon(self) -> bool:

@@ -1,6 +1,5 @@
 """Read and write rosbag2's metadata.yaml, version 9 (Jazzy)."""
 
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -12,6 +11,7 @@ import yaml
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.storage.config_io import parse_yaml, read_yaml
+from ltm_core.storage.disk_io import sync
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -115,10 +115,8 @@ def bag_information(
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     """Write a bag's metadata.yaml atomically, also in a power cut, because it marks a finished bag. Raises OSError."""
     unfinished = folder / f"{FILE_NAME}.tmp"
-    with unfinished.open("w", encoding="utf-8") as file:
-        file.write(to_yaml({INFORMATION: dict(information)}))
-        file.flush()
-        os.fsync(file.fileno())
+    unfinished.write_text(to_yaml({INFORMATION: dict(information)}), encoding="utf-8")
+    sync(unfinished)
     unfinished.replace(folder / FILE_NAME)
 
 

@@ -5,7 +5,6 @@ Everything after the last complete chunk of a file is removed, and the index is 
 Source: MCAP specification, https://mcap.dev/spec."""
 
 import logging
-import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -16,6 +15,7 @@ from mcap.records import DataEnd, Footer, Header, McapRecord, Statistics
 
 from ltm_core.base.errors import ConfigError, RecordingError
 from ltm_core.storage.config_io import parse_yaml
+from ltm_core.storage.disk_io import sync
 from ltm_msgs_py.bag.mcap_index import BROKEN, MAGIC, McapIndex
 from ltm_msgs_py.bag.metadata import FileRecord, TopicRecord, bag_information, qos_profile, write_metadata
 
@@ -57,8 +57,7 @@ def finish_cut_file(path: Path) -> None:
         file.truncate(end)
         file.seek(end)
         file.write(header + data_end + summary + footer + MAGIC)
-        file.flush()
-        os.fsync(file.fileno())
+    sync(path)
 
 
 def _built(records: Iterable[McapRecord]) -> bytes:

@@ -4,6 +4,7 @@ Poses and calibrations are joined here by the same rules as live (`FrameJoin`), 
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 from ltm_core.base.errors import ArchiveError, LtmError, RecordingError
@@ -167,19 +168,15 @@ class ArchiveImageReader:
     """Reads images by file, topic and log time: of a recording of many cameras, only the chunks that hold them."""
 
     def __init__(self) -> None:
-        self._open: dict[str, BagReader] = {}
+        self._opened = lru_cache(_HELD)(BagReader)
 
     def read(self, frame: ArchiveFrame) -> Picture:
         """Read an image. Raises ArchiveError if the file is missing, no longer has the image or cannot be read now."""
         name, at = frame.file, frame.log_time_ns
-        if name not in self._open:
-            if len(self._open) == _HELD:
-                del self._open[next(iter(self._open))]
-            try:
-                self._open[name] = BagReader(Path(name))
-            except RecordingError as error:
-                raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
-        reader = self._open[name]
+        try:
+            reader = self._opened(Path(name))
+        except RecordingError as error:
+            raise ArchiveError(f"{error}; it existed when the archive was scanned") from error
         for message in reader.messages([frame.topic], at, at + 1):
             try:
                 picture = picture_of(message.raw, message.type_name)

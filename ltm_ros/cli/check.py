@@ -21,7 +21,7 @@ from ltm_core.storage.disk_io import require_files
 from ltm_core.visibility.point_visibility import PointVisibility
 from ltm_core.visibility.viewshed import viewshed
 from ltm_ros.cli.output import OnlyCameras, Overwrite, print_findings, say, working
-from ltm_ros.launching.site_check import Wanted, examine
+from ltm_ros.launching.site_check import examine
 from ltm_ros.recordings.recorded_run import recorded_views
 from ltm_ros.recordings.replay.offline import Selection
 
@@ -46,7 +46,7 @@ def check(
 def report(path: Path, out: Path | None = None, bag: Path | None = None, only: Sequence[str] = ()) -> int:
     """Print the findings about a site, draw it to `out`, and return the number of errors."""
     with working("checking"):
-        found = examine(path, Wanted(only))
+        found = examine(path, {"cameras": only})
         site, dem = found.site, found.dem
         if site is not None and dem is not None and bag is not None:
             _add_recorded(found, site, dem, bag)

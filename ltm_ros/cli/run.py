@@ -63,40 +63,35 @@ def run(
 
     Prints every line of the nodes, and reports to systemd if that started it (NOTIFY_SOCKET).
     Errors that `ltm check` finds end it before any process starts: exit code 78 if the site file must be corrected."""
-    from ltm_ros.launching.graph import ParameterValue, describe
+    from ltm_ros.launching.graph import ParameterValue, Wanted, describe
     from ltm_ros.launching.kernels import compile_ahead
     from ltm_ros.launching.runner import Runner, print_line
     from ltm_ros.launching.service_manager import ServiceManager
-    from ltm_ros.launching.site_check import NotReadyError, Wanted, require_ready
+    from ltm_ros.launching.site_check import NotReadyError, require_ready
     from ltm_ros.runtime.process_memory import settle, steady_allocation
 
     steady_allocation()
     manager = ServiceManager.of_environment(os.environ)
     named = {"state": state, "record": record}
     folders = {purpose: folder.expanduser().resolve() for purpose, folder in named.items() if folder is not None}
-    recorded: dict[str, ParameterValue] | None = None if record is None else {"bag": str(folders["record"])}
+    places = [str(folder) for folder in folders.values()]
     kept: dict[str, ParameterValue] = {} if state is None else {"folder": str(folders["state"])}
-    parameters = dict.fromkeys(("fuel_map", "terrain", "pose", "uplink"), kept) if kept else {}
-    seen: dict[str, ParameterValue] | None = {"serve": True} if view else None
+    wanted = Wanted(
+        cameras=only or (),
+        view={"serve": True} if view else None,
+        record=None if record is None else {"bag": str(folders["record"])},
+        health={"folders": places} if places else {},
+        parameters=dict.fromkeys(("fuel_map", "terrain", "pose", "uplink"), kept) if kept else {},
+    )
     try:
-        wanted = Wanted(only or (), seen, recorded, {}, parameters, folders)
-        config = require_ready(site, wanted, lambda doubt: typer.echo(f"-- {doubt}"))
+        config = require_ready(site, wanted, lambda doubt: typer.echo(f"-- {doubt}"), folders)
     except NotReadyError as error:
         typer.echo("\n".join(f"ltm: {line}" for line in str(error).splitlines()), err=True)
         manager.report(str(error), ready=False, alive=False)
         raise typer.Exit(error.status) from error
     if state is not None:
         folders["state"].mkdir(parents=True, exist_ok=True)
-    graph = describe(
-        config,
-        site,
-        cameras=only or (),
-        sim_time=sim_time,
-        view=seen,
-        record=recorded,
-        health={"folders": [str(folder) for folder in folders.values()]} if folders else {},
-        parameters=parameters,
-    )
+    graph = describe(config, site, sim_time=sim_time, **wanted)
     typer.echo(f"-- {config.name}: {len(graph)} nodes in {len(graph.processes)} processes; Ctrl-C stops them")
     if view:
         from ltm_ros.viewer.server import GRPC_PORT, WEB_PORT, web_url

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypedDict, TypeVar, Unpack
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -131,28 +131,29 @@ class Graph:
         raise ConfigError(f"no node {label!r} in the graph of {self.site}; it has {there}")
 
 
+class Wanted(TypedDict, total=False):
+    """What to run of a site. `cameras`: only these (empty: all). `view`, `record`, `health` (if the site has that
+    section): also run this node, with these parameters. `parameters`: by node type, override those of the site file."""
+
+    cameras: Sequence[str]
+    view: Mapping[str, ParameterValue] | None
+    record: Mapping[str, ParameterValue] | None
+    health: Mapping[str, ParameterValue] | None
+    parameters: Mapping[str, Mapping[str, ParameterValue]]
+
+
 def describe(
-    site: Site,
-    path: Path | str,
-    *,
-    cameras: Sequence[str] = (),
-    sim_time: bool = False,
-    view: Mapping[str, ParameterValue] | None = None,
-    record: Mapping[str, ParameterValue] | None = None,
-    health: Mapping[str, ParameterValue] | None = None,
-    parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None,
-    sources: bool | None = None,
+    site: Site, path: Path | str, *, sim_time: bool = False, sources: bool | None = None, **wanted: Unpack[Wanted]
 ) -> Graph:
     """Return the graph of `site`, which was read from `path`.
 
-    `cameras`: use only these (empty: all). `view`, `record`, `health` (if the site has that section): also run this
-    node, with these parameters. `parameters`: by node type, override those of the site file. `sources`: whether images
-    are requested from cameras; None: unless `sim_time`. With `sim_time` no frames are shed unless a parameter enables
-    it. Raises ConfigError for an unknown camera or node type, a parameter that the graph sets itself, and a value
-    without a ROS type."""
+    `sources`: whether images are requested from cameras; None: unless `sim_time`. With `sim_time` no frames are shed
+    unless a parameter enables it. Raises ConfigError for an unknown camera or node type, a parameter that the graph
+    sets itself, and a value without a ROS type."""
     place = Path(path).expanduser().resolve()
-    given = _overrides(site, place, parameters or {})
-    for extra, values in (("viewer", view), ("recorder", record), ("health", health)):
+    given = _overrides(site, place, wanted.get("parameters", {}))
+    extras = {"viewer": wanted.get("view"), "recorder": wanted.get("record"), "health": wanted.get("health")}
+    for extra, values in extras.items():
         given[extra] = given.get(extra, {}) | dict(values or {})
     if sim_time:
         given["capture"] = {"shed": False} | given.get("capture", {})
@@ -181,7 +182,7 @@ def describe(
             process=shared.get(kind, ""),
         )
 
-    chosen = list(cameras) or list(site.cameras)
+    chosen = list(dict.fromkeys(wanted.get("cameras", ()))) or list(site.cameras)
     for camera in chosen:
         site.camera(camera)
     sections = {"terrain": site.terrain, "locate": site.locating, "uplink": None if sim_time else site.region}
@@ -193,11 +194,10 @@ def describe(
     if not sim_time if sources is None else sources:
         asked = [camera for camera in chosen if site.camera(camera).source is not None]
         nodes += [spec("source", f"/{site.name}/{camera}", {"camera": camera}) for camera in asked]
-    shown = (("viewer", view), ("recorder", record))
-    nodes += [spec(kind, f"/{site.name}", {}) for kind, values in shown if values is not None]
-    if health is not None and site.health is not None:
-        expected = [node.full_name for node in nodes]
-        nodes.append(spec("health", f"/{site.name}", {"expected": expected}))
+    for extra, values in extras.items():
+        if values is not None and (extra != "health" or site.health is not None):
+            expected = {"expected": [node.full_name for node in nodes]} if extra == "health" else {}
+            nodes.append(spec(extra, f"/{site.name}", expected))
     return Graph(site.name, tuple(nodes), site.watchdog)
 
 

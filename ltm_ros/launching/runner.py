@@ -8,7 +8,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping
 from pathlib import Path
 
 from ltm_core.base.errors import LtmError
@@ -71,7 +70,7 @@ class Runner:
     """Starts, watches and stops the processes of `graph`; as a context manager it stops them at the end. Thread-safe.
 
     `domain_id`: ROS domain (None: from the environment). `console` gets every line of output, prefixed with the
-    process's label. `stop_s`: time from SIGTERM to SIGKILL. `environment`: additional variables."""
+    process's label. `stop_s`: time from SIGTERM to SIGKILL."""
 
     def __init__(
         self,
@@ -81,7 +80,6 @@ class Runner:
         console: Console = print_line,
         policy: RestartPolicy | None = None,
         stop_s: float = 10.0,
-        environment: Mapping[str, str] | None = None,
     ) -> None:
         self.graph = graph
         self.processes: dict[str, NodeProcess] = {}
@@ -91,7 +89,6 @@ class Runner:
         self._console = console
         self._policy = policy or RestartPolicy()
         self._stop_s = stop_s
-        self._base = os.environ | dict(environment or {})
         self._lock = threading.RLock()
         self._folder: Path | None = None
         self._stopping = threading.Event()
@@ -123,7 +120,7 @@ class Runner:
                 self.processes[spec.label] = NodeProcess(
                     label=spec.label,
                     command=process_command(spec, self._folder),
-                    environment=ros_environment(self._base, domain_id=self._domain_id, busy=spec.busy),
+                    environment=ros_environment(domain_id=self._domain_id, busy=spec.busy),
                     console=self._say,
                     policy=self._policy,
                     watchdog=self.graph.watchdog,

@@ -23,9 +23,13 @@ SIGNS_A_LIMIT = 3
 
 
 def in_words(processes: Iterable[NodeProcess]) -> str:
-    """Return which processes do not run, and why; else how many run."""
+    """Return which processes do not run, and why, with the last line of one that cannot start; else how many run."""
     seen = list(processes)
-    down = [f"{one.label} ({one.last_exit or 'starts'})" for one in seen if not one.running]
+    down = []
+    for one in seen:
+        if not one.running:
+            said = list(one.last_words)[-1:] if one.failing else []
+            down.append(f"{one.label} ({'; '.join([one.last_exit or 'starts', *said])})")
     if not down:
         return f"all {len(seen)} processes run"
     line = f"{len(seen) - len(down)} of {len(seen)} processes run; down: {', '.join(down)}"

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from ltm_core.vision.manifest import NetworkManifest
 from ltm_ros.cameras.opening import doubts_of
 from ltm_ros.cameras.protocols.credentials import read_secret
 from ltm_ros.launching import shared_memory
-from ltm_ros.launching.graph import ParameterValue, describe
+from ltm_ros.launching.graph import Wanted, describe
 from ltm_ros.runtime.handler import EX_CONFIG
 from ltm_ros.runtime.topics import TF, transform_topics
 from ltm_ros.runtime.web_server import bind_error, refusal
@@ -35,26 +34,17 @@ MACHINE = "machine"
 _LOOPBACK = "127.0.0.1"
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What `ltm run` was asked to start. `parameters`: by node type, override the site file's."""
-
-    cameras: Sequence[str] = ()
-    view: Mapping[str, ParameterValue] | None = None
-    record: Mapping[str, ParameterValue] | None = None
-    health: Mapping[str, ParameterValue] | None = None
-    parameters: Mapping[str, Mapping[str, ParameterValue]] | None = None
-    folders: Mapping[str, Path] | None = None
-    """Folders for stored data, by purpose."""
+Folders = Mapping[str, Path]
+"""Folders for stored data, by purpose."""
 
 
-def examine(path: Path, wanted: Wanted) -> SiteCheck:
+def examine(path: Path, wanted: Wanted, folders: Folders | None = None) -> SiteCheck:
     """Check everything that the site file names, and what the machine must provide for its graph."""
-    check = check_site(path, wanted.cameras)
+    check = check_site(path, wanted.get("cameras", ()))
     if check.site is not None:
         check.findings += _nodes(check.site, path, wanted)
-        check.findings += _places(check.site, wanted)
-        check.findings += _sources(check.site, wanted)
+        check.findings += _places(check.site, wanted, folders or {})
+        check.findings += _sources(check.site, wanted.get("cameras", ()))
         check.findings += _alerts(check.site)
     return check
 
@@ -68,9 +58,9 @@ class NotReadyError(ConfigError):
         self.status = exit_status(findings)
 
 
-def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None]) -> Site:
+def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None], folders: Folders | None = None) -> Site:
     """Return the site if its graph can start. `tell` takes one line per warning. Raises NotReadyError."""
-    findings = examined_apart(path, wanted)
+    findings = examined_apart(path, wanted, folders)
     if exit_status(findings):
         raise NotReadyError(findings)
     for finding in findings:
@@ -79,12 +69,12 @@ def require_ready(path: Path, wanted: Wanted, tell: Callable[[str], None]) -> Si
     return load_site(path)
 
 
-def examined_apart(path: Path, wanted: Wanted) -> list[SiteFinding]:
+def examined_apart(path: Path, wanted: Wanted, folders: Folders | None = None) -> list[SiteFinding]:
     """Return the findings of `examine`, made in a separate process, so that the long-running parent does not keep the
     memory of the DEM. If that process is killed, this is the finding."""
     try:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            return pool.submit(_findings, path, wanted).result()
+            return pool.submit(_findings, path, wanted, folders).result()
     except BrokenProcessPool:
         said = "the check was killed; the DEM may be larger than the memory. Clip it and add coarser rasters around it"
         return [SiteFinding(MACHINE, "memory", SiteVerdict.WRONG, said)]
@@ -97,7 +87,7 @@ def exit_status(findings: Sequence[SiteFinding]) -> int:
     return EX_CONFIG if areas - {MACHINE} else 1 if areas else 0
 
 
-def _findings(path: Path, wanted: Wanted) -> list[SiteFinding]:
+def _findings(path: Path, wanted: Wanted, folders: Folders | None) -> list[SiteFinding]:
     """Check a graph that is about to start; a large DEM is prepared first, so that its processes share it. The check
     reports errors of the site or the raster."""
     prepared: list[SiteFinding] = []
@@ -109,7 +99,7 @@ def _findings(path: Path, wanted: Wanted) -> list[SiteFinding]:
         except OSError as error:
             why = error.strerror or error
             prepared.append(_machine("dem", f"no file beside {dem.path} ({why}): each process loads its own copy"))
-    return [*examine(path, wanted).findings, *prepared]
+    return [*examine(path, wanted, folders).findings, *prepared]
 
 
 def _machine(name: str, said: str, fine: bool = True, bad: SiteVerdict = SiteVerdict.DOUBTFUL) -> SiteFinding:
@@ -120,7 +110,7 @@ def _machine(name: str, said: str, fine: bool = True, bad: SiteVerdict = SiteVer
 def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
     """Check the parameters of each node type as the node does."""
     try:
-        graph = describe(site, path, **{name: value for name, value in vars(wanted).items() if name != "folders"})
+        graph = describe(site, path, **wanted)
     except LtmError as error:
         yield SiteFinding.of("site", "nodes", error)
         return
@@ -147,8 +137,8 @@ def _nodes(site: Site, path: Path, wanted: Wanted) -> Iterator[SiteFinding]:
         yield _machine(str(shared_memory.SHM_FOLDER), said, free >= needed)
 
 
-def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
-    folders = dict(wanted.folders or {})
+def _places(site: Site, wanted: Wanted, named: Folders) -> Iterator[SiteFinding]:
+    folders = dict(named)
     for kind in ("fuel_map", "terrain", "uplink"):
         folder = site.nodes.get(kind, {}).get("folder")
         if isinstance(folder, str):
@@ -163,8 +153,8 @@ def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
         remedy = ": free some space, or give a folder on another disk" * (free < SCARCE_SPACE)
         bad = SiteVerdict.WRONG if free < LEAST_SPACE else SiteVerdict.DOUBTFUL
         yield _machine(what, f"{place}: {free / 1e9:.1f} GB free{remedy}", free >= SCARCE_SPACE, bad)
-    if wanted.view is not None:
-        given = dict(site.nodes.get("viewer", {})) | dict(wanted.view)
+    if (view := wanted.get("view")) is not None:
+        given = dict(site.nodes.get("viewer", {})) | dict(view)
         for name, usual in (("web_port", 9090), ("grpc_port", 9876)):
             port = given.get(name, usual)
             if isinstance(port, int) and port:
@@ -172,7 +162,7 @@ def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
                 why = f"in use ({error.strerror}): end the program that uses it, or set another" if error else "free"
                 said = f"port {port} on {_LOOPBACK} is {why}{f' (nodes.viewer.{name})' if error else ''}"
                 yield _machine(name, said, error is None, SiteVerdict.WRONG)
-    if wanted.health is not None and (health := site.health) is not None and health.port:
+    if wanted.get("health") is not None and (health := site.health) is not None and health.port:
         # Only a warning, because the tower runs without it and retries.
         error = bind_error(health.address, health.port)
         said = f"{health.port} on {health.address} is free"
@@ -181,9 +171,9 @@ def _places(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
         yield _machine("health", said, error is None)
 
 
-def _sources(site: Site, wanted: Wanted) -> Iterator[SiteFinding]:
+def _sources(site: Site, cameras: Sequence[str]) -> Iterator[SiteFinding]:
     """Check cameras; nothing that they lack keeps a graph from starting, because requests are repeated."""
-    for name in wanted.cameras or site.cameras:
+    for name in cameras or site.cameras:
         moving, _ = transform_topics(site.cameras[name])
         if moving and TF is None:
             lacks = f"{moving} is read in replays only: tf2_msgs is not installed; use ROS 2 from apt, or another pose"

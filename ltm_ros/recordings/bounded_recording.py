@@ -218,17 +218,9 @@ CLOSE_S = 5.0
 class RecordingThread:
     """Passes messages from any threads to a recording in order; only this thread writes."""
 
-    def __init__(
-        self,
-        recording: BoundedRecording,
-        health: Health,
-        tell: Callable[[str], None],
-        most_bytes: int = QUEUE_BYTES,
-        most_messages: int = QUEUE_MESSAGES,
-    ) -> None:
+    def __init__(self, recording: BoundedRecording, health: Health, tell: Callable[[str], None]) -> None:
         """Start the thread. `tell`: gets a line of each error."""
         self._recording, self._health, self._tell = recording, health, tell
-        self._most_bytes, self._most_messages = most_bytes, most_messages
         self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._lock = threading.Lock()
         self._bytes = self._messages = 0
@@ -249,7 +241,7 @@ class RecordingThread:
     def take(self, topic: str, type_name: str, cdr: bytes, log_time_ns: int) -> None:
         """Queue a message; if the queue is full, it is dropped and counted as `overload`."""
         with self._lock:
-            if self._bytes + len(cdr) > self._most_bytes or self._messages >= self._most_messages:
+            if self._bytes + len(cdr) > QUEUE_BYTES or self._messages >= QUEUE_MESSAGES:
                 waiting = f"{self._messages} messages ({self._bytes >> 20} MB) are queued for the disk"
                 self._health.drop("overload", f"{waiting}; record fewer topics")
                 return

@@ -7,11 +7,11 @@ import logging
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ltm_core.base.errors import RecordingError
-from ltm_core.base.types import UInt8Array
 from ltm_core.site.site import Site
 from ltm_msgs_py.bag.cdr import header_of
 from ltm_msgs_py.bag.reader import BagMessage, BagReader
@@ -27,10 +27,7 @@ Parts = Mapping[str, tuple[tuple[Topic, Take], ...]]
 """Name of a part -> its topics, each with the function that decodes its messages."""
 
 
-def _mono8(message: Any) -> UInt8Array:
-    return msg_to_array(message, ("mono8",))
-
-
+_mono8 = partial(msg_to_array, encodings=("mono8",))
 PARTS: Parts = {
     "camera": ((topics.CAMERA_INFO, msg_to_camera),),
     "depth_camera": ((topics.DEPTH_CAMERA_INFO, msg_to_camera),),

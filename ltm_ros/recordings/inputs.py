@@ -94,7 +94,8 @@ class InputReader:
         recorded = reader.topic_infos()
         self.reader = reader
         self.topics = recorded_inputs(site, recorded)
-        self._sources: list[_PoseSource] = []
+        self.sources: list[_PoseSource] = []
+        """What is converted; the number of these messages is unknown."""
         for camera, config in site.cameras.items():
             pose = next((topic for topic in other_inputs(config) if topic.counted_name == POSE.name), None)
             if pose is None:
@@ -104,23 +105,18 @@ class InputReader:
             if moving or (static in recorded and stated in recorded):
                 images = tuple(camera_topic(site.name, camera, topic) for topic in image_topics(config))
                 source = _PoseSource(camera, moving or stated, bool(moving), static, own, images)
-                self._sources.append(source)
-        for source in self._sources:
+                self.sources.append(source)
+        for source in self.sources:
             if not source.moving:
                 self.topics.pop(source.topic, None)
-        self.topics |= {source.pose: replace(POSE, counted=False) for source in self._sources}
-
-    @property
-    def converts(self) -> bool:
-        """Return whether messages are converted, so that their number is unknown."""
-        return bool(self._sources)
+        self.topics |= {source.pose: replace(POSE, counted=False) for source in self.sources}
 
     def messages(
         self, topics: Collection[str], start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[BagMessage]:
         """Yield messages of some of `topics`, as `BagReader.messages`."""
-        sources = [(source, self._camera_poses(source)) for source in self._sources if source.pose in topics]
-        plain = set(topics) - {source.pose for source in self._sources}
+        sources = [(source, self._camera_poses(source)) for source in self.sources if source.pose in topics]
+        plain = set(topics) - {source.pose for source in self.sources}
         more = {name for s, _ in sources for name in (s.topic, *(s.images if s.moving else ()))}
         for message in self.reader.messages(plain | more, start_ns, end_ns):
             for source, poses in sources:

@@ -152,8 +152,7 @@ class CameraPipeline:
             return False
         self.more_waits = False
         self.pipeline.idle()
-        let_in = not self.pipeline.empty
-        self.pipeline.drain()
+        let_in = self.pipeline.drain()
         self.more_waits = True
         return let_in
 

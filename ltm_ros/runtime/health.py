@@ -275,21 +275,16 @@ class NodeRow:
     reasons: tuple[str, ...] = ()
     """Reason of the first drop of each cause, and of each lasting problem, after its name."""
 
-    @classmethod
-    def of(cls, node: str, summary: Mapping[str, str]) -> "NodeRow":
-        """Parse the key -> value texts of a node's `/diagnostics` status."""
-
-        def of(kind: str) -> dict[str, str]:
-            return {key.removeprefix(kind): value for key, value in summary.items() if key.startswith(kind)}
-
-        received, published, dropped = (int(summary.get(key, 0)) for key in ("frames_in", "frames_out", "dropped"))
-        keys = ("latency_p50_ms", "latency_p95_ms", "work_p50_ms")
-        p50, p95, work = (float(summary.get(key, math.nan)) for key in keys)
-        causes = ", ".join(f"{cause} {count}" for cause, count in of("dropped.").items())
-        reasons = tuple(f"{cause}: {why}" for cause, why in of("reason.").items())
-        return cls(node, received, published, dropped, p50, p95, work, causes, reasons)
-
 
 def node_rows(summaries: Mapping[str, Mapping[str, str]]) -> list[NodeRow]:
-    """Return one row per node, by name, from the key -> value texts of their diagnostics."""
-    return [NodeRow.of(name, summary) for name, summary in sorted(summaries.items())]
+    """Return one row per node, by name, from the key -> value texts of their `/diagnostics` statuses."""
+    rows = []
+    for node, summary in sorted(summaries.items()):
+        received, sent, dropped = (int(summary.get(key, 0)) for key in ("frames_in", "frames_out", "dropped"))
+        keys = ("latency_p50_ms", "latency_p95_ms", "work_p50_ms")
+        p50, p95, work = (float(summary.get(key, math.nan)) for key in keys)
+        said = [(*key.partition(".")[::2], value) for key, value in summary.items()]
+        causes = ", ".join(f"{cause} {count}" for kind, cause, count in said if kind == "dropped" and cause)
+        reasons = tuple(f"{cause}: {why}" for kind, cause, why in said if kind == "reason")
+        rows.append(NodeRow(node, received, sent, dropped, p50, p95, work, causes, reasons))
+    return rows

@@ -58,17 +58,13 @@ class Pipeline:
         """Queue a message for delivery by `drain`."""
         self._waiting.append((topic, message))
 
-    @property
-    def empty(self) -> bool:
-        """Return whether `drain` has nothing to deliver."""
-        return not self._waiting
-
     def deliver(self, job: Job, topic: Topic, message: Any) -> None:
         """Give a message to one job at once."""
         self._run(job, lambda: job.callbacks[topic](message), topic.under(job.namespace), message)
 
-    def drain(self) -> None:
-        """Deliver all published messages, and those that follow from them."""
+    def drain(self) -> bool:
+        """Deliver all published messages, and those that follow from them; return whether there were any."""
+        any_waiting = bool(self._waiting)
         while self._waiting:
             topic, message = self._waiting.popleft()
             self._cleared = False
@@ -78,6 +74,7 @@ class Pipeline:
                 self.deliver(job, own, message)
                 if self._cleared:
                     break
+        return any_waiting
 
     def idle(self) -> None:
         """Call `idle` of every handler."""

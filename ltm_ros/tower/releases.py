@@ -208,7 +208,8 @@ def program_output(*command: str, check: bool = True, timeout_s: float = 900.0, 
             command, capture_output=True, text=True, errors="replace", timeout=timeout_s, **options
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise UpgradeError(f"{shown}: {error}: a tower needs Debian or a derivative with systemd") from error
+        remedy = ": a tower needs Debian or a derivative with systemd" * isinstance(error, FileNotFoundError)
+        raise UpgradeError(f"{shown}: {error}{remedy}") from error
     if check and ran.returncode:
         lines = [line for line in (ran.stdout + ran.stderr).splitlines() if line.strip()]
         raise UpgradeError(f"{shown}: {'; '.join(lines[-3:]) or f'exit code {ran.returncode}'}")

@@ -7,7 +7,6 @@ import re
 import socket
 import subprocess  # nosec B404 # argument lists, no shell
 import threading
-import time
 import zlib
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
@@ -24,7 +23,7 @@ from ltm_ros.runtime.retry import Backoff
 from ltm_ros.runtime.web_server import Route, WebResponse, WebServer
 from ltm_ros.tower.health_client import TowerPort
 from ltm_ros.tower.live_stream import FIRST_LINE, KINDS
-from ltm_ros.viewer.server import listens
+from ltm_ros.viewer.server import wait_until_listening
 
 LONGEST_LINE: Final = 1024
 MOST_BYTES: Final = 2 << 20
@@ -157,16 +156,13 @@ def _records(stream: IO[bytes] | http.client.HTTPResponse) -> Iterator[tuple[_Re
 
 def _json(content: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(zlib.decompressobj().decompress(content, MOST_BYTES), parse_constant=_no_number)
+        # `int` rejects the words for infinities and NaN, which are not JSON.
+        found = json.loads(zlib.decompressobj().decompress(content, MOST_BYTES), parse_constant=int)
     except (zlib.error, ValueError, RecursionError) as error:
         raise StreamError("the stream has a page that is not JSON") from error
     if not isinstance(found, dict):
         raise StreamError("the stream has a page that is not a JSON mapping")
     return found
-
-
-def _no_number(word: str) -> None:
-    raise ValueError(word)
 
 
 _DESTINATION = re.compile(r"(?P<host>[A-Za-z0-9_][A-Za-z0-9_.@-]*)(?::(?P<port>\d{1,5}))?")
@@ -193,15 +189,11 @@ def reached(tower: str, token: Path | None, certificate: Path | None) -> Iterato
         nonlocal tunnel
         if tunnel is None or tunnel.poll() is not None:
             tunnel = _ssh(match["host"], forward)
-            deadline = time.monotonic() + TUNNEL_S
-            while not listens(here):
-                if tunnel.poll() is not None:
-                    said = f"ended with exit code {tunnel.returncode}"
-                    raise ConfigError(f"ssh {match['host']}: {said}; its message is above")
-                if time.monotonic() > deadline:
-                    tunnel.kill()
-                    raise ConfigError(f"ssh {match['host']}: no connection within {TUNNEL_S:.0f} s")
-                time.sleep(0.05)
+            try:
+                wait_until_listening(here, tunnel, f"ssh {match['host']}", TUNNEL_S)
+            except ConfigError as error:
+                tunnel.kill()
+                raise ConfigError(f"{error}; its messages are above") from error
         return port
 
     try:

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from functools import partial
 from http import HTTPStatus
 from importlib.util import find_spec
 from pathlib import Path
@@ -103,8 +104,8 @@ class RerunProcess:
         files = [str(recording)] if recording is not None else []
         process = cls([*files, "--serve-web", *ports, "--server-memory-limit", memory_limit])
         try:
-            process.wait_until_listening(grpc_port)
-            process.wait_until_listening(own_page)
+            for port in (grpc_port, own_page):
+                wait_until_listening(port, process._process, "the Rerun server", 20.0)
             process._page = WebServer(_page_routes(own_page, grpc_port), LOOPBACK, web_port)
         except OSError as error:
             process.stop()
@@ -120,17 +121,6 @@ class RerunProcess:
 
     def running(self) -> bool:
         return self._process.poll() is None
-
-    def wait_until_listening(self, port: int, timeout: float = 20.0) -> None:
-        """Wait for the port. Raises ConfigError if the process ends or `timeout` seconds pass first."""
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            if not self.running():
-                raise ConfigError(f"the Rerun server ended with status {self._process.returncode} at its start")
-            if listens(port):
-                return
-            time.sleep(0.05)
-        raise ConfigError(f"the Rerun server does not respond on {LOOPBACK}:{port} after {timeout:g} s")
 
     def stop(self, grace: float = 3.0) -> None:
         """End the process and all its children."""
@@ -152,19 +142,28 @@ def _page_routes(own_page: int, grpc_port: int) -> dict[str, Route]:
         f"connect-src 'self' data: blob: http://{LOOPBACK}:{grpc_port}; frame-ancestors 'none'"
     )
 
-    def route(name: str) -> Route:
-        def answer(_: bytes) -> WebResponse:
-            with contextlib.closing(http.client.HTTPConnection(LOOPBACK, own_page, timeout=30)) as connection:
-                connection.request("GET", f"/{name}")
-                response = connection.getresponse()
-                body, kind = response.read(), response.getheader("Content-Type", "application/octet-stream")
-            if kind.startswith("text/html"):
-                body = _FOREIGN_LINK.sub(b"", body)
-            return WebResponse(body, kind, HTTPStatus(response.status), policy)
+    def answer(name: str, _: bytes) -> WebResponse:
+        with contextlib.closing(http.client.HTTPConnection(LOOPBACK, own_page, timeout=30)) as connection:
+            connection.request("GET", f"/{name}")
+            response = connection.getresponse()
+            body, kind = response.read(), response.getheader("Content-Type", "application/octet-stream")
+        if kind.startswith("text/html"):
+            body = _FOREIGN_LINK.sub(b"", body)
+        return WebResponse(body, kind, HTTPStatus(response.status), policy)
 
-        return answer
+    return {f"GET /{name}": partial(answer, name) for name in _PAGE_FILES}
 
-    return {f"GET /{name}": route(name) for name in _PAGE_FILES}
+
+def wait_until_listening(port: int, process: subprocess.Popen[bytes], name: str, timeout_s: float) -> None:
+    """Wait until a process accepts connections at a loopback port. Raises ConfigError if it ends, or the time passes,
+    first."""
+    deadline = time.monotonic() + timeout_s
+    while not listens(port):
+        if process.poll() is not None:
+            raise ConfigError(f"{name} ended with exit code {process.returncode} at its start")
+        if time.monotonic() > deadline:
+            raise ConfigError(f"{name} does not respond on {LOOPBACK}:{port} after {timeout_s:g} s")
+        time.sleep(0.05)
 
 
 def listens(port: int) -> bool:

@@ -25,7 +25,6 @@ from ltm_core.surface.change import ChangeKind
 from ltm_ros.viewer import fuel_maps as archetypes
 from ltm_ros.viewer import scene_geometry
 from ltm_ros.viewer.blueprint import TIMELINE, site_blueprint
-from ltm_ros.viewer.fuel_maps import change_classes
 from ltm_ros.viewer.server import GRPC_PORT, LIVE_MEMORY, WEB_PORT, RerunProcess, grpc_url, web_url
 
 MAX_POINTS = 15_000
@@ -246,7 +245,7 @@ class RerunView:
             log.log("legend", archetypes.legend(self._palette, self._fuel_geometry.resolution), static=True)
             self._log_relief()
             if self._site.terrain is not None:
-                log.log("terrain", change_classes(), static=True)
+                log.log("terrain", archetypes.change_classes(), static=True)
 
     def _log_relief(self) -> None:
         """Log the relief under the fuel grid, finer than the cells, in units of cells."""

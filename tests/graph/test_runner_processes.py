@@ -37,7 +37,6 @@ class Started:
             console=console or self.lines.append,
             policy=QUICK,
             stop_s=stop_s,
-            environment={"PYTHONPATH": str(HERE)},
         )
         self.runner.start()
 
@@ -46,7 +45,8 @@ class Started:
 
 
 @pytest.fixture
-def start(ros_domain: int) -> Iterator[Callable[..., Started]]:
+def start(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Started]]:
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
     started: list[Started] = []
 
     def start(*nodes: NodeSpec, stop_s: float = 5.0, console: Console | None = None) -> Started:
@@ -88,13 +88,14 @@ def test_ends_a_node_that_will_not_stop(start: Callable[..., Started]) -> None:
 
 
 RUN = """
-import sys
+import os, sys
 sys.path[:0] = [sys.argv[1], sys.argv[1] + "/.."]
 from test_runner_processes import HERE, QUICK, spec
 from ltm_ros.launching.graph import Graph
 from ltm_ros.launching.runner import Runner
 nodes = (spec("depth"), spec("capture"), spec("viewer", behaviour="stubborn"))[: int(sys.argv[2])]
-runner = Runner(Graph("ridge", nodes), policy=QUICK, environment={"PYTHONPATH": str(HERE)})
+os.environ["PYTHONPATH"] = str(HERE)
+runner = Runner(Graph("ridge", nodes), policy=QUICK)
 sys.exit(runner.run())
 """
 

@@ -41,14 +41,6 @@ class CaptureFiles:
         found = [n for n in names if PurePosixPath(n).name.lower() == name.lower()]
         return min(found, key=lambda n: (n.count("/"), n)) if found else None
 
-    def matching(self, folder: str, suffixes: tuple[str, ...]) -> list[str]:
-        """Return the members directly in a folder of this name (in any case, at any depth), sorted."""
-        return sorted(
-            name
-            for name in self.names
-            if PurePosixPath(name).parent.name.lower() == folder.lower() and name.lower().endswith(suffixes)
-        )
-
     def read(self, name: str, most: int) -> bytes:
         """Return a member's bytes, at most `most` whatever the archive states."""
         place = f"{self.path}: {name!r}"

@@ -112,6 +112,8 @@ def _sources(lens: LensFacts, long: int, diagonal: float, scale: float) -> dict[
         stated[name] = lens.focal_35mm / FULL_FRAME_DIAGONAL_MM * diagonal
     sources = {}
     for name, focal in stated.items():
+        if not focal:
+            continue  # a product of tiny numbers
         sensor_mm = math.inf if lens.focal_mm is None else lens.focal_mm / focal * long
         included = lens.zoom <= _AGREEMENT or lens.zoom_included or sensor_mm < _LEAST_SENSOR_MM
         sources[name] = [focal] if included else [focal, focal * lens.zoom]

@@ -21,7 +21,7 @@ from ltm_core.base.number_text import moment_of_stamp
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array
 from ltm_core.cameras.sensor_pose import ENU_FROM_ENU, ENU_FROM_NWU, optical_angles_deg
 from ltm_ros.recordings.importing.capture_files import CaptureFiles, table
-from ltm_ros.recordings.importing.exif import Sensed
+from ltm_ros.recordings.importing.exif import Sensed, number
 
 _FIX_GAP_NS = 15_000_000_000
 """Maximum ns between a photo and the nearest GPS fix: a walker moves 20 m in it. Phones record one fix per second."""
@@ -152,8 +152,9 @@ def is_sensor_logger(files: CaptureFiles) -> bool:
 
 def camera_frames(files: CaptureFiles) -> dict[str, int]:
     """Return the members that are camera frames, with their stamps in nanoseconds."""
-    names = {name: PurePosixPath(name) for name in files.matching("Camera", (".jpg", ".jpeg"))}
-    return {name: int(path.stem) * 1_000_000 for name, path in names.items() if _FRAME.fullmatch(path.name)}
+    paths = ((name, PurePosixPath(name)) for name in sorted(files.names))
+    frames = ((name, path) for name, path in paths if path.parent.name.lower() == "camera")
+    return {name: int(path.stem) * 1_000_000 for name, path in frames if _FRAME.fullmatch(path.name)}
 
 
 def read_sensor_logger(files: CaptureFiles) -> SensorTrack:
@@ -197,24 +198,12 @@ class _Table:
                 f"{self.path}: {self.name} has no column {name!r}, but {known}: is it Sensor Logger's?"
             )
         values = self.columns.get(name)
-        return np.full(len(self._rows), np.nan) if values is None else _numbers([values[i] for i in self._rows])
+        return np.array([values and number(values[i]) for i in self._rows], np.float64)  # None becomes NaN
 
     def positive(self, name: str) -> Float64Array:
         """Return accuracies or pressures; zero and negative ones are invalid."""
         values = self.column(name)
         return np.where(values > 0, values, np.nan)
-
-
-def _numbers(values: Sequence[str]) -> Float64Array:
-    out = np.full(len(values), np.nan)
-    for i, value in enumerate(values):
-        try:
-            number = float(value)
-        except ValueError:
-            continue
-        if math.isfinite(number):
-            out[i] = number
-    return out
 
 
 def _fixes(location: _Table) -> tuple[Series, bool]:

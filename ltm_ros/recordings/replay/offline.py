@@ -55,7 +55,6 @@ class Selection:
         site: Site,
         start: float = 0.0,
         duration: float | None = None,
-        truth: bool = True,
         names: Mapping[str, str] | None = None,
     ) -> "Selection":
         """Open a bag; `names`: other names of its topics. Raises RecordingError without images in the span."""
@@ -64,7 +63,7 @@ class Selection:
         inputs = InputReader(reader, site)
         topics = inputs.topics
         images = [name for name, topic in topics.items() if is_image(topic)]
-        for camera in site.cameras if truth else ():
+        for camera in site.cameras:
             named = {camera_topic(site.name, camera, topic): topic for topic in CAMERA_TRUTH}
             topics |= {name: topic for name, topic in named.items() if name in recorded}
         if not images or reader.start_ns is None or reader.end_ns is None:
@@ -72,7 +71,7 @@ class Selection:
             raise RecordingError(f"{bag} has no images of site {site.name} ({', '.join(site.cameras)}); {beside}")
         begin = reader.start_ns + round(start * 1e9)
         end = reader.end_ns + 1 if duration is None else min(begin + round(duration * 1e9), reader.end_ns + 1)
-        whole = start == 0 and duration is None and not reader.damage and not inputs.converts
+        whole = start == 0 and duration is None and not reader.damage and not inputs.sources
         counts = (
             Counter({topic: reader.topic_infos()[topic].message_count for topic in topics})
             if whole  # from the bag's index; a part, or a truncated bag, must be read

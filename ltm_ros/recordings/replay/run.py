@@ -24,7 +24,7 @@ from ltm_msgs_py.stamp import ns_to_time
 from ltm_ros.launching.graph import Graph, ParameterValue, describe
 from ltm_ros.launching.kernels import compile_ahead
 from ltm_ros.launching.runner import Runner
-from ltm_ros.launching.site_check import Wanted, require_ready
+from ltm_ros.launching.site_check import require_ready
 from ltm_ros.recordings.inputs import is_image
 from ltm_ros.recordings.replay import LONGEST_PAUSE
 from ltm_ros.recordings.replay.offline import RECORDING, Selection, Summaries, replay_offline
@@ -295,7 +295,7 @@ def run_live(
     """Replay with the whole graph in processes of its own; return the last diagnostics of every node by full name.
 
     Raises NotReadyError if it cannot work, LtmError if it does not start or does not finish its work."""
-    site = require_ready(site_path, Wanted(), console)
+    site = require_ready(site_path, {}, console)
     selection = options.selection(bag, site)
     apply_to_process(options.domain_id)
     graph = graph_of(site_path, options, sim_time=True)

@@ -21,7 +21,7 @@ def test_state_is_the_folder_of_the_nodes_that_keep_something(tmp_path: Path, mo
             return 0
 
     monkeypatch.setattr(ltm_ros.launching.runner, "Runner", Recorded)
-    monkeypatch.setattr(ltm_ros.launching.site_check, "examined_apart", lambda path, wanted: [])
+    monkeypatch.setattr(ltm_ros.launching.site_check, "examined_apart", lambda path, wanted, folders: [])
     site = write_small_site(tmp_path).path
     arguments = ["run", str(site)]
     assert CliRunner().invoke(cli, arguments).exit_code == 0

@@ -173,9 +173,7 @@ def run_app(arguments: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("COLUMNS", "1000")
     monkeypatch.setattr(sys, "argv", ["ltm", *arguments])
     # In this process, so that thirty of them take seconds; `test_cli_run` has one in a process of its own.
-    monkeypatch.setattr(
-        ltm_ros.launching.site_check, "examined_apart", lambda path, wanted: examine(path, wanted).findings
-    )
+    monkeypatch.setattr(ltm_ros.launching.site_check, "examined_apart", lambda *asked: examine(*asked).findings)
     with pytest.raises(SystemExit) as ended:
         main.app()
     return int(ended.value.code or 0)

@@ -11,7 +11,7 @@ from ltm_core.scoring.fuel import FuelScore
 from ltm_core.scoring.labels import SegmentationScore
 from ltm_core.vision.labels import LabelSet
 from ltm_ros.demo.report import CameraPictures, ReportData, Table, write_report
-from ltm_ros.runtime.health import NodeRow
+from ltm_ros.runtime.health import node_rows
 
 LABELS = LabelSet.load()
 VOID = {"meta", "img", "input", "br"}
@@ -60,10 +60,9 @@ def full() -> ReportData:
         title="Ridge <demo>",
         summary="Two cameras & twenty frames.",
         conditions=[("bag", "bags/ridge"), ("machine", "2 cores")],
-        nodes=[
-            NodeRow.of(
-                "/ridge/north/depth",
-                {
+        nodes=node_rows(
+            {
+                "/ridge/north/depth": {
                     "frames_in": "61",
                     "frames_out": "20",
                     "received": "183",
@@ -72,9 +71,9 @@ def full() -> ReportData:
                     "dropped.overload": "2",
                 }
                 | {"latency_p50_ms": "64.2", "latency_p95_ms": "89.9", "work_p50_ms": "40.0", "queue": "0"},
-            ),
-            NodeRow.of("/ridge/fuel_map", {"frames_in": "40", "frames_out": "12345", "dropped": "0"}),
-        ],
+                "/ridge/fuel_map": {"frames_in": "40", "frames_out": "12345", "dropped": "0"},
+            }
+        ),
         cameras=[CameraPictures("north", photo, photo, photo, "frame 1")],
         fuel_map=np.full((60, 80, 3), 200, np.uint8),
         depth=score_depth([truth + 2.0], [truth])[-1],

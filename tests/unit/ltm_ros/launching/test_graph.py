@@ -36,6 +36,8 @@ def test_every_camera_has_its_chain_and_the_site_its_map() -> None:
     assert depth.parameters == {"site": "/sites/ridge.yaml", "camera": "south", "use_sim_time": False}
     assert graph.node("fuel_map").parameters == {"site": "/sites/ridge.yaml", "use_sim_time": False}
     assert all(node.required for node in graph)
+    named_twice = describe(site(), "/sites/ridge.yaml", cameras=["north", "north"])
+    assert [node.label for node in named_twice] == ["fuel_map", *(f"north/{kind}" for kind in CAMERA_NODES)]
 
 
 def test_a_camera_with_a_source_is_asked_for_its_pictures_but_not_in_a_replay() -> None:

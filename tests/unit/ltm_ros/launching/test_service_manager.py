@@ -59,7 +59,7 @@ def stop(*processes: NodeProcess) -> None:
 
 def test_what_is_down_is_named_with_its_reason_and_is_watched_all_the_same() -> None:
     lives = process("fuel_map", "import time; time.sleep(600)")
-    cannot = process("depth", "raise SystemExit(78)")
+    cannot = process("depth", "print('depth: cannot start: no dem.tif'); raise SystemExit(78)")
     assert not lives.watched, "it has not started yet"
     for one in (lives, cannot):
         one.start()
@@ -67,7 +67,8 @@ def test_what_is_down_is_named_with_its_reason_and_is_watched_all_the_same() -> 
         wait_for(lambda: lives.running and cannot.failing, "both")
         assert in_words([lives]) == "all 1 processes run"
         said = in_words([lives, cannot])
-        assert said == "1 of 2 processes run; down: depth (exit code 78: its configuration is invalid)"
+        why = "exit code 78: its configuration is invalid; depth: cannot start: no dem.tif"
+        assert said == f"1 of 2 processes run; down: depth ({why})"
         assert len(in_words([lives, *[cannot] * 9])) == LONGEST
         assert lives.watched
         assert cannot.watched, "a restart does not correct a configuration"

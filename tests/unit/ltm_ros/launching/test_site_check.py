@@ -11,7 +11,8 @@ from scenes.small_site import write_small_site
 from ltm_core.base.errors import SiteFinding, SiteVerdict
 from ltm_core.raster import prepared_heights_io
 from ltm_ros.launching import site_check
-from ltm_ros.launching.site_check import MACHINE, Wanted, examine, examined_apart, exit_status
+from ltm_ros.launching.graph import Wanted
+from ltm_ros.launching.site_check import MACHINE, examine, examined_apart, exit_status
 
 
 def finding(area: str, verdict: SiteVerdict) -> SiteFinding:
@@ -40,7 +41,7 @@ def test_room_for_what_is_kept(
 ) -> None:
     monkeypatch.setattr(site_check, "free_bytes", lambda folder: free)
     site = write_small_site(tmp_path, recording=False).path
-    found = examine(site, Wanted(folders={"state": tmp_path / "map"})).findings
+    found = examine(site, {}, {"state": tmp_path / "map"}).findings
     (room,) = [one for one in found if one.name == "state"]
     assert room.verdict is verdict
     assert f"{free / 1e9:.1f} GB free" in room.said
@@ -70,7 +71,7 @@ def test_a_check_that_is_killed_is_a_finding(tmp_path: Path, monkeypatch: pytest
             raise BrokenProcessPool("a child was killed")
 
     monkeypatch.setattr(site_check, "ProcessPoolExecutor", Killed)
-    (found,) = examined_apart(tmp_path / "site.yaml", Wanted())
+    (found,) = examined_apart(tmp_path / "site.yaml", {})
     assert (found.area, found.verdict) == (MACHINE, SiteVerdict.WRONG)
     assert "larger than the memory" in found.said
 
@@ -91,7 +92,7 @@ def test_what_a_source_or_an_alert_lacks_is_doubted_and_keeps_nothing_from_start
     monkeypatch.delenv("TOWER_PASSWORD", raising=False)
 
     def doubts() -> list[str]:
-        found = [one for one in examine(small.path, Wanted()).findings if one.name.startswith(("source of", "alerts"))]
+        found = [one for one in examine(small.path, {}).findings if one.name.startswith(("source of", "alerts"))]
         assert exit_status(found) == 0
         return [one.said for one in found if one.verdict is SiteVerdict.DOUBTFUL]
 
@@ -112,11 +113,11 @@ def test_the_dem_of_a_graph_that_starts_is_prepared(tmp_path: Path, monkeypatch:
     small = write_small_site(tmp_path, recording=False)
 
     def said() -> list[str]:
-        found = [one for one in examined_apart(small.path, Wanted()) if (one.area, one.name) == (MACHINE, "dem")]
+        found = [one for one in examined_apart(small.path, {}) if (one.area, one.name) == (MACHINE, "dem")]
         assert {one.verdict for one in found} <= {SiteVerdict.OK}
         return [one.said for one in found]
 
-    examine(small.path, Wanted())
+    examine(small.path, {})
     raster = small.site.dem.path
     assert not list(raster.parent.glob("*.ltm-heights.npy"))
     (first,) = said()

@@ -38,14 +38,14 @@ class Disk:
 
 
 @pytest.fixture
-def recorder() -> Callable[[int, int], tuple[RecordingThread, Disk, Health]]:
+def recorder(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], tuple[RecordingThread, Disk, Health]]:
     """Of a recorder that may hold so many bytes and messages, whose disk has just begun to wait."""
 
     def made(most_bytes: int, most_messages: int) -> tuple[RecordingThread, Disk, Health]:
+        monkeypatch.setattr(recording_thread, "QUEUE_BYTES", most_bytes)
+        monkeypatch.setattr(recording_thread, "QUEUE_MESSAGES", most_messages)
         disk, health = Disk(), Health()
-        thread = RecordingThread(
-            cast(BoundedRecording, disk), health, pytest.fail, most_bytes=most_bytes, most_messages=most_messages
-        )
+        thread = RecordingThread(cast(BoundedRecording, disk), health, pytest.fail)
         thread.add_topic("/ridge/info", "std_msgs/msg/String", False)
         assert disk.at_work.wait(60.0)
         return thread, disk, health

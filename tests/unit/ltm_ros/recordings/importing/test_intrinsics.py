@@ -7,7 +7,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from ltm_core.base.errors import CameraError
 from ltm_ros.recordings.importing.exif import xmp_values
-from ltm_ros.recordings.importing.intrinsics import intrinsics, lens_of_photo
+from ltm_ros.recordings.importing.intrinsics import LensFacts, intrinsics, lens_of_photo
 
 FULL_FRAME = math.hypot(36, 24)
 PHOTO, INTEROPERABILITY = 0x8769, 0xA005
@@ -113,6 +113,11 @@ def test_uncertain_focal_lengths_are_rejected_with_their_values(
 ) -> None:
     with pytest.raises(CameraError, match=values):
         read(width, height, {tag: value for tag, value in facts.items() if value != b""})
+
+
+def test_a_focal_length_that_underflows_is_none() -> None:
+    with pytest.raises(CameraError, match="does not give the focal length"):
+        intrinsics(LensFacts(focal_mm=1e-200, plane=(1e-200, 1e-200)), 4032, 3024, "a.jpg")
 
 
 @pytest.mark.parametrize(
