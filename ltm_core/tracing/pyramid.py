@@ -26,7 +26,7 @@ WITHIN, MIXED, OUTSIDE = 0, 1, 2
 
 
 class MaximumPyramid(NamedTuple):
-    """Bounds of all levels in one flat array: level L (LEAF <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`,
+    """Bounds of all levels in one flat array: level L from LEAF on is row-major at `bounds[offsets[L]:]`,
     `widths[L]` blocks a row; lower indices of both are unused."""
 
     bounds: Float32Array
@@ -34,11 +34,6 @@ class MaximumPyramid(NamedTuple):
     widths: Int64Array
     outside: UInt8Array
     """WITHIN, MIXED or OUTSIDE, in the order of `bounds`; empty if the raster has no outer hole."""
-
-    @property
-    def top_level(self) -> int:
-        """Return the level at which one block covers the raster."""
-        return len(self.offsets) - 1
 
 
 def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
