@@ -57,8 +57,9 @@ def trace(
     x, y, z = setup.pose.position
     clearance = float(z - setup.dem.elevation_at(x, y))
     rows = [("camera above the ground", "outside the DEM" if np.isnan(clearance) else f"{clearance:.1f} m")]
-    kinds = {"terrain": np.isfinite, "sky": np.isposinf, "unknown (outside the DEM, nodata)": np.isnan}
-    rows += [(name, f"{of(ranges).mean():.1%} of the pixels") for name, of in kinds.items()]
+    shares = np.isfinite(ranges).mean(), np.isposinf(ranges).mean(), np.isnan(ranges).mean()
+    names = "terrain", "sky", "unknown (outside the DEM, nodata)"
+    rows += [(name, f"{share:.1%} of the pixels") for name, share in zip(names, shares, strict=True)]
     if known.size:
         near, median, far = np.percentile(known, [0, 50, 100])
         rows.append(("range: minimum, median, maximum", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m"))
