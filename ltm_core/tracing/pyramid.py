@@ -20,7 +20,6 @@ from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
 LEAF = 2
 """Lowest level stored; level 1 alone would need a quarter of the elevations' memory and saves little time."""
 
-
 WITHIN, MIXED, OUTSIDE = 0, 1, 2
 """State of a block: none, some or all of its cells are outer holes."""
 
