@@ -67,12 +67,6 @@ class NetworkView(NamedTuple):
         cells, part = np.zeros((4, 2, 2), np.float32), np.zeros(1, np.float32)
         return cls(cells, grey, column, part, ErrorModel.none(), np.float32(1.0), False)
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Return the rows and columns of the network's depth."""
-        _, rows, columns = self.cells.shape
-        return rows, columns
-
 
 @helper(fastmath={"nsz", "contract"})
 def upsample_row(view: NetworkView, v: int, row: Float32Array, out: Float32Array) -> None:

@@ -181,7 +181,7 @@ class Fusion:
         camera, seen, view, standing = self.traced.camera, self._seen, None, None
         if fit is not None and not fit.trouble:
             view = NetworkView.of(fit, self.rgb, config)
-            standing = OcclusionPrior.of(seen.depth(), labels, classes, camera, seen.pose, view.shape, config)
+            standing = OcclusionPrior.of(seen.depth(), labels, classes, camera, seen.pose, view.cells.shape[1:], config)
         # Ridges have their edges where the photo has them; then every pixel is the terrain's, the network's or both's.
         refine_occlusion_boundaries(self.rgb, depth, sigma, ground, labels, classes, camera, config, self.hidden)
         over = None if self.surface is None else self.surface.depth()

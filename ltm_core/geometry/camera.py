@@ -143,13 +143,10 @@ def _rays(camera: Camera) -> Float64Array:
         distortion = np.array(camera.distortion)
         in_parallel(lambda first, end: undistorted_rays(first, end, rays, intrinsics, distortion, fold), camera.height)
     else:
-        down = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
-        for rows in strips(camera.height):
-            part = rays[rows]
-            part[..., 0] = (np.arange(camera.width) - camera.cx) / camera.fx
-            part[..., 1] = down[rows]
-            part[..., 2] = 1.0
-            part /= np.sqrt(np.einsum("hwc,hwc->hw", part, part))[..., None]
+        rays[..., 0] = (np.arange(camera.width) - camera.cx) / camera.fx
+        rays[..., 1] = ((np.arange(camera.height) - camera.cy) / camera.fy)[:, None]
+        rays[..., 2] = 1.0
+        rays /= np.sqrt(np.einsum("hwc,hwc->hw", rays, rays))[..., None]
     rays.flags.writeable = False
     return rays
 

@@ -52,13 +52,10 @@ class RangeImage:
 
     def horizontal(self) -> Float32Array:
         """Return the horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
-        horizontal = np.empty(self.range.shape, np.float32)
-        for rows in strips(len(horizontal)):
-            up = self.camera.rays()[rows] @ self.pose.rotation[2]
-            with np.errstate(invalid="ignore"):
-                horizontal[rows] = self.range[rows] * np.sqrt(np.maximum(0.0, 1.0 - up * up))
-        horizontal[np.isinf(self.range)] = np.inf
-        return horizontal
+        up = self.camera.rays() @ self.pose.rotation[2]
+        with np.errstate(invalid="ignore"):
+            horizontal = (self.range * np.sqrt(np.maximum(0.0, 1.0 - up * up))).astype(np.float32)
+        return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
 
     def points(self) -> Float32Array:
         """Return the map coordinates of what each pixel sees, (H, W, 3) metres, read-only; NaN where the range is not

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, Protocol
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -13,18 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float32Array, RgbImage
+from ltm_core.vision.labels import LabelSet
 
 UNLABELLED = 255
-
-
-class ClassPalette(Protocol):
-    """Class names and their RGB colours, indexed by class id; `ltm_core.vision.labels.LabelSet` is one."""
-
-    @property
-    def names(self) -> Any: ...
-
-    @property
-    def colors(self) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -35,6 +26,8 @@ class Palette:
     colors: tuple[tuple[int, int, int], ...]
 
 
+ClassPalette = LabelSet | Palette
+"""Class names and their RGB colours, indexed by class id."""
 Anchor = Literal["lt", "mt", "rt", "lm", "mm", "rm", "lb", "mb", "rb"]
 Text = tuple[str, float, float, Anchor]  # a text, the pixel (x, y) of its anchor, and which of its points that is
 Color = tuple[int, int, int]
@@ -188,7 +181,7 @@ def ramp_legend(
     """Return a strip (h, `width`, 3): colours `ramp` (256, 3), `ticks` (name, 0 to 1), and what is not on it."""
     size = _text_size(width)
     height, bar = round(size * 3.4), round(size * 1.1)
-    strip = _paper(height, width)
+    strip = np.full((height, width, 3), PAPER, np.uint8)
     widths = [max(round(size * 3), text_width(name, size)) for name, _ in others]
     left, right = round(size * 1.8), width - round(size * 1.8) - sum(other + size for other in widths)
     right -= size if others else 0
@@ -221,18 +214,17 @@ def label_legend(width: int, label_set: ClassPalette, ids: Iterable[int] | None 
     places: list[tuple[int, int, int]] = []
     x, y = size, size // 2
     for label in shown:
-        step = swatch + round(size * 1.9) + text_width(str(label_set.names[label]), size)
+        step = swatch + round(size * 1.9) + text_width(label_set.names[label], size)
         if x + step > width and x > size:
             x, y = size, y + row_height
         places.append((label, x, y))
         x += step
-    strip = _paper(y + row_height, width)
+    strip = np.full((y + row_height, width, 3), PAPER, np.uint8)
     texts: list[Text] = []
     for label, x, y in places:
-        color = tuple(int(c) for c in np.asarray(label_set.colors[label]))
-        for fill, line in ((color, -1), (INK, 1)):
+        for fill, line in ((label_set.colors[label], -1), (INK, 1)):
             cv2.rectangle(strip, (x, y), (x + swatch, y + swatch), fill, line)
-        texts.append((str(label_set.names[label]), x + swatch + size * 0.5, y + swatch / 2, "lm"))
+        texts.append((label_set.names[label], x + swatch + size * 0.5, y + swatch / 2, "lm"))
     return draw_texts(strip, texts, size, INK)
 
 
@@ -245,10 +237,6 @@ def _text_size(width: int) -> int:
     return max(11, min(26, round(width / 52)))
 
 
-def _paper(height: int, width: int) -> RgbImage:
-    return np.full((height, width, 3), PAPER, np.uint8)
-
-
 _UNKNOWN = (190, 192, 196)
 _ERRORS = RangeScale(0.3, 300.0)
 
@@ -256,11 +244,10 @@ _ERRORS = RangeScale(0.3, 300.0)
 def error_colors(estimate: ArrayLike, truth: ArrayLike) -> RgbImage:
     """Return |estimate - truth| (H, W) in metres as colours (H, W, 3): dark small, bright large; sky if both are sky,
     grey if only one has a depth."""
-    scale = _ERRORS
     a, b = np.asarray(estimate, np.float32), np.asarray(truth, np.float32)
     known = np.isfinite(a) & np.isfinite(b)
     size = np.abs(np.where(known, a, 0) - np.where(known, b, 0))
-    place = (255 * scale.fraction(np.maximum(size, scale.near))).round().astype(np.uint8)
+    place = (255 * _ERRORS.fraction(np.maximum(size, _ERRORS.near))).round().astype(np.uint8)
     colors = color_map(cv2.COLORMAP_INFERNO)[place]
     colors[~known] = _UNKNOWN
     colors[np.isposinf(a) & np.isposinf(b)] = SKY_COLOR

@@ -120,20 +120,17 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -
     return with_legend(picture, range_legend(picture.shape[1], scale, sky=False))
 
 
-def map_picture(
-    traced: RangeImage, dem: Dem, counts: UInt32Array, title: str, frame: SiteFrame | None = None
-) -> RgbImage:
+def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str, frame: SiteFrame) -> RgbImage:
     """Return the shaded relief with the cells that the photo sees, its camera and its field of view. `counts`: pixels
-    per cell, of the DEM's shape. `frame`: of the DEM; None: its coordinates are of no CRS."""
+    per cell, of the DEM's shape. `frame`: of the DEM."""
     horizontal = traced.horizontal()
     known = horizontal[np.isfinite(horizontal)]
     reach = float(known.max()) if known.size else 20 * dem.geometry.resolution
     x, y, _ = (float(v) for v in traced.pose.position)
     camera = MapCamera("camera", traced.camera, (x, y), traced.pose.angles_deg[0], reach)
-    offset = (0.0, 0.0) if frame is None else (frame.x_origin, frame.y_origin)
-    share = f"; {percent((counts > 0).mean())} of the DEM" + ("" if frame is None else f"; {frame.crs}")
+    about = f"{title}; {percent((counts > 0).mean())} of the DEM; {frame.crs}"
     bounds = interesting_bounds(counts > 0, dem.geometry, [camera.position], dem.geometry)
-    canvas = FuelCanvas(dem.geometry, dem, [camera], bounds, offset, 1200, title + share)
+    canvas = FuelCanvas(dem.geometry, dem, [camera], bounds, (frame.x_origin, frame.y_origin), 1200, about)
     return canvas.classes(np.where(counts > 0, np.uint8(0), np.uint8(UNLABELLED)), _SEEN)
 
 

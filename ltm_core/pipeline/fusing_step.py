@@ -52,7 +52,11 @@ class FusingStep:
     def __init__(self, site: Site, camera: str, config: FusingConfig) -> None:
         self._config, self._site = config, site
         self._scene = site_scene_filter(site, camera)
-        self.network = DepthNetwork(depth_manifest(site, camera, config), config.threads)
+        if not (model := config.model or site.depth_model):
+            raise ConfigError(f"site {site.name}: no depth network; set `depth_model` to a manifest's name or path")
+        # With a label head, that of the network which the head corrects, so that the encoder runs once.
+        manifest = NetworkManifest.find(model).serving(site.camera(camera).label_head)
+        self.network = DepthNetwork(manifest, config.threads)
         self._classes = ClassPriors.of(LabelSet.load(config_path(site.labels)), self.network.fusion)
         # Bare earth is asked for only where depth is traced to something else.
         self.trace_to(None if site.surface is None else site.open_dem())
@@ -96,12 +100,3 @@ class FusingStep:
         known = 0.0 if covariance is None else float(covariance.diagonal()[3:].max())
         angle = np.radians(self._config.angle_sigma_deg)
         return FusionSettings(float(np.sqrt(angle**2 + known)), self._config.dem_sigma)
-
-
-def depth_manifest(site: Site, camera: str, config: FusingConfig) -> NetworkManifest:
-    """Return the depth network of a camera; with a label head, that of the network which the head corrects, so that the
-    encoder runs once. Raises ConfigError if the site names none, ModelError if it is missing."""
-    model = config.model or site.depth_model
-    if not model:
-        raise ConfigError(f"site {site.name}: no depth network; set `depth_model` to a manifest's name or path")
-    return NetworkManifest.find(model).serving(site.camera(camera).label_head)

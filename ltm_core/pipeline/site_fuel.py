@@ -41,8 +41,7 @@ def site_evidence_map(
     fuel = site.fuel
     prior = None if fuel.prior is None else load_prior(fuel.prior, site.in_crs(geometry))
     climate = FuelClimate.named(fuel.climate)
-    known = (site_label_errors(site), camera_label_errors(site)) if given is None else (given, {})
-    errors, of_cameras = known
+    errors, of_cameras = (site_label_errors(site), camera_label_errors(site)) if given is None else (given, {})
     return EvidenceMap(geometry, prior, labels, fuel.fusion, errors, climate, of_cameras)
 
 

@@ -24,7 +24,7 @@ from ltm_core.geometry.geodesy import (
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.raster.heights_check import HeightsDoubt, clean_heights, doubt_of_relief, elevation_band, unit_of
 from ltm_core.raster.prepared_heights_io import map_heights, write_heights
-from ltm_core.raster.raster_io import check_size, open_raster, read_band
+from ltm_core.raster.raster_io import check_size, open_raster, read_band, write_geotiff
 
 Bounds = tuple[float, float, float, float]
 
@@ -271,6 +271,4 @@ class Dem:
 
     def save(self, path: Path | str) -> None:
         """Write a deflated float32 GeoTIFF. Raises RasterError when the DEM is in no named CRS."""
-        from ltm_core.raster.raster_io import write_geotiff
-
         write_geotiff(path, self.elevation, self.geometry, nodata=float("nan"))

@@ -83,8 +83,7 @@ class DemStack(Dem):
         for k in () if fitted else range(len(levels) - 2, -1, -1):
             fine, coarse = levels[k], levels[k + 1]
             levels[k] = fine = _within(fine if own else Dem(fine.elevation.copy(), fine.geometry), coarse)
-            fill_holes(fine, coarse)
-            lead_over(fine, coarse)
+            _fit(fine, coarse, with_holes=True)
         super().__init__(levels[0].elevation, levels[0].geometry, doubts)
         object.__setattr__(self, "coarser", tuple(levels[1:]))
 
@@ -157,7 +156,7 @@ def with_surface(ground: Dem, surface: Dem) -> Dem:
     if not levels:
         return whole
     whole = _within(whole, levels[0])
-    lead_over(whole, levels[0])
+    _fit(whole, levels[0], with_holes=False)
     return DemStack([whole, *levels], doubts, fitted=True)
 
 
@@ -201,24 +200,14 @@ def _rounded(geometry: GridGeometry) -> tuple[int, ...]:
     return tuple(round(v) for v in geometry.bounds)
 
 
-def fill_holes(fine: Dem, coarse: Dem) -> None:
-    """Fill the holes of `fine` from `coarse`, where that is known, in place."""
-    from ltm_core.raster.dem_seam_kernels import fill  # here, because most processes of a graph need no numba
+def _fit(fine: Dem, coarse: Dem, with_holes: bool) -> None:
+    """Fill the holes of `fine` from `coarse`, where that is known, and lead its border over to it, in place."""
+    from ltm_core.raster.dem_seam_kernels import blend, fill  # here, because most processes of a graph need no numba
 
-    fill(fine.elevation, coarse.elevation, *_places(fine.geometry, coarse.geometry))
-
-
-def lead_over(fine: Dem, coarse: Dem) -> None:
-    """Lead the border of `fine` over to `coarse`, where that is known, in place."""
-    from ltm_core.raster.dem_seam_kernels import blend  # here, as above
-
-    band = BAND * coarse.geometry.resolution / fine.geometry.resolution
-    band = min(band, (min(fine.elevation.shape) - 1) / 4)
-    blend(fine.elevation, coarse.elevation, *_places(fine.geometry, coarse.geometry), band)
-
-
-def _places(fine: GridGeometry, coarse: GridGeometry) -> tuple[Float64Array, Float64Array]:
-    """Return where the fine rows and columns lie in the coarse raster."""
-    rows, _ = coarse.to_grid(coarse.x_min, fine.to_map(np.arange(fine.height), 0)[1])
-    _, cols = coarse.to_grid(fine.to_map(0, np.arange(fine.width))[0], coarse.y_max)
-    return rows, cols
+    a, b = fine.geometry, coarse.geometry
+    rows, _ = b.to_grid(b.x_min, a.to_map(np.arange(a.height), 0)[1])  # where the fine ones lie in the coarse raster
+    _, cols = b.to_grid(a.to_map(0, np.arange(a.width))[0], b.y_max)
+    if with_holes:
+        fill(fine.elevation, coarse.elevation, rows, cols)
+    band = min(BAND * b.resolution / a.resolution, (min(a.shape) - 1) / 4)
+    blend(fine.elevation, coarse.elevation, rows, cols, band)

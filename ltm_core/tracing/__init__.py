@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper, exact and fast: the point of the terrain that each pixel sees.
 
-`TerrainTracer` is the tracer; `baselines.march` keeps the paper's own fixed-step march as a baseline;
-`baselines.reference` is a slow, independent float64 tracer that tests hold the fast one against."""
+`TerrainTracer` is the tracer; `ltm_lab.tracers` has the paper's own fixed-step march, and a slow, independent float64
+tracer that tests hold the fast one against."""
 
 from typing import TYPE_CHECKING
 

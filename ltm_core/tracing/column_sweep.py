@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ltm_core.base.kernels import helper, in_parallel, kernel, prefetch
+from ltm_core.base.kernels import helper, in_parallel, kernel
 from ltm_core.base.types import Float32Array, Float64Array, Int32Array, Int64Array
 from ltm_core.tracing.cell_intersection import FASTMATH, HIT, LEFT, cell_hit
 from ltm_core.tracing.horizon_profile import WEDGES_A_FACE, Wedges
@@ -21,10 +21,10 @@ from ltm_core.tracing.pyramid_traversal import (
     START_LEVEL,
     RasterStage,
     TerrainRaster,
+    crossing,
     finished,
     height_at,
     hit_between,
-    over_raster,
     stretch,
 )
 
@@ -33,10 +33,6 @@ PER_MAJOR, T, SLOPE, FACE, WEDGE, HINT, NEAR, BEGIN = range(0, 8 * COLUMNS, COLU
 """1 / |major| of the unit ray; t; slope in metres per major cell; face and wedge; place of the entry of the row below
 within its wedge; node line at or after which the ray's entry begins; range from which the pyramid continues."""
 MEETS_NOTHING, BY_PYRAMID, ON_FROM_CELL = -1.0, -2.0, -3.0
-
-
-_ROWS_AHEAD = 4
-"""Number of rows prefetched for a ray that crosses rows, each in separate memory."""
 
 
 def sweep_image(
@@ -89,7 +85,6 @@ def _sweep_tile(
         turn(rays, 3 * at, count, rotation, stage.resolution, block)
         left = count
         if enter(highest, entries, starts, tangents, strips, count, block):
-            prefetch_starts(nodes, n_x, stage, count, block)
             left = through_cells(nodes, n_x, n_y, stage, count, block, at, out)
         if left:
             by_pyramid(ground, stage, count, block, at, out)
@@ -150,24 +145,6 @@ def enter(
     return found
 
 
-@helper()
-def prefetch_starts(nodes: Float32Array, width: int, stage: RasterStage, count: int, block: Float64Array) -> None:
-    """Fetch the first cells of a block's rays."""
-    for i in range(count):
-        node, t = int(block[NEAR + i]), block[T + i]
-        if node < 0:
-            continue
-        if block[FACE + i] < 2.0:
-            at = int(stage.oy + t * abs(node - stage.ox)) * width + node
-            prefetch(nodes, at)
-            prefetch(nodes, at + width)
-        else:
-            at = node * width + int(stage.ox + t * abs(node - stage.oy))
-            row = width if block[FACE + i] == 2.0 else -width
-            for k in range(_ROWS_AHEAD):
-                prefetch(nodes, at + k * row)
-
-
 @helper(fastmath=FASTMATH)
 def through_cells(
     nodes: Float32Array,
@@ -223,8 +200,9 @@ def by_pyramid(
     """Compute a block's remaining rays; `at`: flat index of the first pixel."""
     last, oz, top, resolution = stage.last, stage.oz, stage.highest, stage.resolution
     # No ray leaves the raster after `farthest`, and one from a camera over it none before `nearest`.
-    farthest = max(abs(stage.east), abs(stage.west)) + max(abs(stage.south), abs(stage.north))
-    nearest = max(min(min(stage.east, -stage.west), min(stage.south, -stage.north)), 0.0)
+    west, north, east, south = stage.window
+    farthest = max(abs(east), abs(west)) + max(abs(south), abs(north))
+    nearest = max(min(min(east, -west), min(south, -north)), 0.0)
     for i in range(count):
         near, q = block[NEAR + i], float(out[at + i])
         if not q < 0.0:
@@ -240,7 +218,7 @@ def by_pyramid(
             level, begin = (0, block[BEGIN + i]) if near == ON_FROM_CELL else (START_LEVEL, 0.0)
             if near == BY_PYRAMID and stage.part == AFTER:
                 begin = stretch(stage, cx, cy)[0]
-            end = over_raster(stage, cx, cy)[1]
+            end = crossing(stage.window, cx, cy)[1]
             q = hit_between(ground, stage, cx, cy, s, bend, begin, end, q, level)
         if last and q < 0.0:
             # What most rays end with needs no call, to which all of a stage would be handed for each pixel.

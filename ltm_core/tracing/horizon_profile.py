@@ -167,11 +167,11 @@ def _walk_wedges(
 @helper()
 def _least_exit(stage: RasterStage, along_x: bool, forward: bool, t0: float, t1: float) -> float:
     """Return the least major distance at which a ray of the wedge t0 to t1 leaves the next finer raster."""
+    west, north, east, south = stage.finer
     if along_x:
-        major, low, high = (stage.finer_east if forward else -stage.finer_west), stage.finer_north, stage.finer_south
+        least, low, high = (east if forward else -west), north, south
     else:
-        major, low, high = (stage.finer_south if forward else -stage.finer_north), stage.finer_west, stage.finer_east
-    least = major
+        least, low, high = (south if forward else -north), west, east
     for t in (t0, t1):
         if t > 0.0:
             least = min(least, high / t)
@@ -213,13 +213,6 @@ def _highest(ground: TerrainRaster, along_x: bool, level: int, major: int, j0: i
     return highest
 
 
-@helper(inline="always")
-def wedge_of(along_x: bool, forward: bool, t: float) -> int:
-    """Return the index of the wedge of a ray."""
-    face = (0 if along_x else 2) + (0 if forward else 1)
-    return face * WEDGES_A_FACE + min(max(int((t + 1.0) * (0.5 * WEDGES_A_FACE)), 0), WEDGES_A_FACE - 1)
-
-
 @kernel(nogil=True)
 def mark_sectors(rays: Float64Array, rotation: Float64Array, every: int, marked: BoolArray) -> None:
     """Mark the sectors that an image (H, W, 3) of rays covers, from each `every`-th pixel with a margin; a ray in a
@@ -233,7 +226,8 @@ def mark_sectors(rays: Float64Array, rotation: Float64Array, every: int, marked:
                 continue
             along_x = abs(east) >= abs(north)
             major, minor = (east, -north) if along_x else (-north, east)
-            wedge = wedge_of(along_x, major > 0.0, minor / abs(major))
-            first = wedge - wedge % WEDGES_A_FACE
+            first = ((0 if along_x else 2) + (0 if major > 0.0 else 1)) * WEDGES_A_FACE
+            place = int((minor / abs(major) + 1.0) * (0.5 * WEDGES_A_FACE))
+            wedge = first + min(max(place, 0), WEDGES_A_FACE - 1)
             for near in (wedge - every, wedge, wedge + every):
                 marked[min(max(near, first), first + WEDGES_A_FACE - 1) // SECTOR] = True

@@ -20,13 +20,12 @@ from ltm_core.tracing.holes import Holes, filled_at, in_outer_hole
 LEAF = 2
 """Lowest level stored; level 1 alone would need a quarter of the elevations' memory and saves little time."""
 
-
 WITHIN, MIXED, OUTSIDE = 0, 1, 2
 """State of a block: none, some or all of its cells are outer holes."""
 
 
 class MaximumPyramid(NamedTuple):
-    """Bounds of all levels in one flat array: level L (LEAF <= L <= `top_level`) is row-major at `bounds[offsets[L]:]`,
+    """Bounds of all levels in one flat array: level L from LEAF on is row-major at `bounds[offsets[L]:]`,
     `widths[L]` blocks a row; lower indices of both are unused."""
 
     bounds: Float32Array
@@ -34,11 +33,6 @@ class MaximumPyramid(NamedTuple):
     widths: Int64Array
     outside: UInt8Array
     """WITHIN, MIXED or OUTSIDE, in the order of `bounds`; empty if the raster has no outer hole."""
-
-    @property
-    def top_level(self) -> int:
-        """Return the level at which one block covers the raster."""
-        return len(self.offsets) - 1
 
 
 def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:

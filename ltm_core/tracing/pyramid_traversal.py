@@ -7,7 +7,7 @@ Blocks whose bound the ray clears are stepped over; the others are opened, down 
 ray is a quadratic in q and its first root the exact hit. A block is left through an edge with a whole coordinate, and
 the next cell follows from that integer, never from a nudged position, so no cell can be skipped or met twice.
 
-What ends a ray is defined in `tracer`; `baselines.reference` computes the same by brute force."""
+What ends a ray is defined in `tracer`; `ltm_lab.tracers.reference` computes the same by brute force."""
 
 import math
 from typing import NamedTuple
@@ -48,6 +48,15 @@ WHOLE, BEFORE, AFTER = 0, 1, 2
 """Part of a ray's way over a raster that counts: all of it, or the part before or after the next finer raster."""
 
 
+class CellWindow(NamedTuple):
+    """Edges of a raster's nodes relative to the camera in cells: x to the east, y to the south."""
+
+    west: float
+    north: float
+    east: float
+    south: float
+
+
 class RasterStage(NamedTuple):
     """One raster's part in the ways of all rays from one position."""
 
@@ -59,16 +68,9 @@ class RasterStage(NamedTuple):
     """Metres per cell."""
     bend: float
     """The ray's bend coefficient per cell in grid units."""
-    west: float
-    """Edges of the raster's nodes relative to the camera in cells: x to the east, y to the south."""
-    north: float
-    east: float
-    south: float
-    finer_west: float
-    """Edges of the next finer raster; unused if the part is WHOLE."""
-    finer_north: float
-    finer_east: float
-    finer_south: float
+    window: CellWindow
+    finer: CellWindow
+    """Window of the next finer raster; unused if the part is WHOLE."""
     part: int
     last: bool
     """Whether a ray without a hit in this raster has no hit at all."""
@@ -92,8 +94,9 @@ def _normal(c: float) -> float:
 
 
 @helper(fastmath=FASTMATH)
-def _crossing(west: float, north: float, east: float, south: float, cx: float, cy: float) -> tuple[float, float]:
+def crossing(window: CellWindow, cx: float, cy: float) -> tuple[float, float]:
     """Return the ranges (q_in, q_out) between which a ray is over a window; q_in > q_out where it never is."""
+    west, north, east, south = window
     q_in, q_out = 0.0, np.inf
     if cx != 0.0:
         inverse = 1.0 / cx
@@ -111,18 +114,12 @@ def _crossing(west: float, north: float, east: float, south: float, cx: float, c
 
 
 @helper(fastmath=FASTMATH)
-def over_raster(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
-    """Return the ranges (q_in, q_out) between which a ray is over a stage's raster; q_in > q_out where it never is."""
-    return _crossing(stage.west, stage.north, stage.east, stage.south, cx, cy)
-
-
-@helper(fastmath=FASTMATH)
 def stretch(stage: RasterStage, cx: float, cy: float) -> tuple[float, float]:
     """Return the ranges between which a ray's way belongs to a stage; start > end where none of it does."""
-    start, end = over_raster(stage, cx, cy)
+    start, end = crossing(stage.window, cx, cy)
     if stage.part == WHOLE:
         return start, end
-    finer_in, finer_out = _crossing(stage.finer_west, stage.finer_north, stage.finer_east, stage.finer_south, cx, cy)
+    finer_in, finer_out = crossing(stage.finer, cx, cy)
     if finer_in > finer_out:
         return (start, end) if stage.part == BEFORE else (1.0, 0.0)
     if stage.part == BEFORE:
@@ -136,7 +133,7 @@ def finished(stage: RasterStage, cx: float, cy: float, s: float, bend: float, q:
     steep, else NaN."""
     if not (stage.last and q < 0.0):
         return q
-    leaves = over_raster(stage, cx, cy)[1] if q == OVER_KNOWN else 0.0
+    leaves = crossing(stage.window, cx, cy)[1] if q == OVER_KNOWN else 0.0
     if s + 2.0 * bend * leaves < 0.0:
         return np.nan
     steep = s > 0.0 and s * s >= stage.rise * stage.rise * (cx * cx + cy * cy)

@@ -5,7 +5,6 @@ one interval, which contains that over raster k - 1: it goes from the raster tha
 finest, and from there outwards to the coarsest, and in between leaves each one out. All rays take the same order."""
 
 import threading
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,26 +15,16 @@ from ltm_core.raster.dem import Dem
 from ltm_core.tracing.holes import filled_at, find_holes, in_outer_hole
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid import build_pyramid
-from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, RasterStage, TerrainRaster
+from ltm_core.tracing.pyramid_traversal import AFTER, BEFORE, WHOLE, CellWindow, RasterStage, TerrainRaster
 
-
-class _CellWindow(NamedTuple):
-    """A rectangle seen from a position, in cells: its edges' x (to the east) and y (to the south)."""
-
-    west: float
-    north: float
-    east: float
-    south: float
-
-
-_known: WeakKeyDictionary[Dem, dict[PossibleGround, tuple[TerrainRaster, ...]]] = WeakKeyDictionary()
-_highest: WeakKeyDictionary[Dem, float] = WeakKeyDictionary()
+Grounds = tuple[tuple[TerrainRaster, ...], float]
+_known: WeakKeyDictionary[Dem, dict[PossibleGround, Grounds]] = WeakKeyDictionary()
 _one_at_a_time = threading.Lock()
 
 
-def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
-    """Return the kernels' data of each level, finest first, and of unknown ground, shared while the terrain is in use.
-    Raises RasterError for infinite heights."""
+def grounds(dem: Dem, possible: PossibleGround) -> Grounds:
+    """Return the kernels' data of each level, finest first, and of unknown ground, and the height in metres above which
+    there is no ground outside the DEM; shared while the terrain is in use. Raises RasterError for infinite heights."""
     with _one_at_a_time:
         made = _known.setdefault(dem, {})
         if possible not in made:
@@ -43,11 +32,11 @@ def grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
         return made[possible]
 
 
-def _grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
+def _grounds(dem: Dem, possible: PossibleGround) -> Grounds:
     made: list[TerrainRaster] = []
-    highest = highest_possible(dem, possible)
-    top = highest
-    for level in reversed(dem.levels):
+    tops = [float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels]
+    top = highest = possible.limit(max(tops))
+    for level, own in zip(reversed(dem.levels), reversed(tops), strict=True):
         elevation = level.elevation
         if (infinite := np.isinf(elevation)).any():
             row, col = divmod(int(infinite.argmax()), elevation.shape[1])
@@ -56,17 +45,9 @@ def _grounds(dem: Dem, possible: PossibleGround) -> tuple[TerrainRaster, ...]:
         holes = find_holes(elevation, rise, highest)
         pyramid = build_pyramid(elevation, holes)
         height, width = elevation.shape
-        top = max(top, float(np.fmax.reduce(elevation, axis=None)))
+        top = max(top, own)
         made.append(TerrainRaster(elevation.ravel(), holes, width, height, *pyramid, top))
-    return tuple(reversed(made))
-
-
-def highest_possible(dem: Dem, possible: PossibleGround) -> float:
-    """Return the height in metres above which there is no ground outside the DEM."""
-    highest = _highest.get(dem)
-    if highest is None:
-        highest = _highest[dem] = max(float(np.fmax.reduce(level.elevation, axis=None)) for level in dem.levels)
-    return possible.limit(highest)
+    return tuple(reversed(made)), highest
 
 
 def stages(
@@ -79,28 +60,14 @@ def stages(
     stands_on = next((k for k, w in enumerate(windows) if _is_inside(w)), last)
 
     def stage(k: int, part: int) -> tuple[int, RasterStage]:
-        geometry = dem.levels[k].geometry
-        resolution = float(geometry.resolution)  # kernels are compiled for such
-        own = windows[k]
-        finer = own
+        resolution = float(dem.levels[k].geometry.resolution)  # kernels are compiled for such
+        own = finer = windows[k]
         if k > 0:
             scale = dem.levels[k - 1].geometry.resolution / resolution
-            finer = _CellWindow(*(edge * scale for edge in windows[k - 1]))
+            finer = CellWindow(*(edge * scale for edge in windows[k - 1]))
         ends = k == last and part != BEFORE
-        grid_bend = bend * resolution**2
-        return k, RasterStage(
-            -own.west,
-            -own.north,
-            float(position[2]),
-            resolution,
-            grid_bend,
-            *own,
-            *finer,
-            part,
-            ends,
-            steepest * resolution,
-            highest,
-        )
+        ray = -own.west, -own.north, float(position[2]), resolution, bend * resolution**2
+        return k, RasterStage(*ray, own, finer, part, ends, steepest * resolution, highest)
 
     inwards = [stage(k, BEFORE) for k in range(stands_on, 0, -1)]
     return [*inwards, stage(0, WHOLE), *(stage(k, AFTER) for k in range(1, last + 1))]
@@ -118,11 +85,11 @@ def filled_corners(dem: Dem, ground: TerrainRaster, position: Float64Array) -> F
     return np.array([np.nan if in_outer_hole(*known, n) else filled_at(*known, n) for n in nodes], np.float32)
 
 
-def _window(dem: Dem, position: Float64Array) -> _CellWindow:
+def _window(dem: Dem, position: Float64Array) -> CellWindow:
     row, col = (float(v) for v in dem.geometry.to_grid(position[0], position[1]))
     height, width = dem.elevation.shape
-    return _CellWindow(0.0 - col, 0.0 - row, width - 1 - col, height - 1 - row)
+    return CellWindow(0.0 - col, 0.0 - row, width - 1 - col, height - 1 - row)
 
 
-def _is_inside(window: _CellWindow) -> bool:
+def _is_inside(window: CellWindow) -> bool:
     return window.west <= 0.0 <= window.east and window.north <= 0.0 <= window.south

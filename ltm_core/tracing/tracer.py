@@ -37,7 +37,7 @@ from ltm_core.tracing.column_sweep import sweep_image
 from ltm_core.tracing.horizon_profile import SECTOR, WEDGES_A_FACE, Wedges, extended, mark_sectors, no_wedges
 from ltm_core.tracing.possible_ground import PossibleGround
 from ltm_core.tracing.pyramid_traversal import FRESH, OVER_KNOWN, trace_directions
-from ltm_core.tracing.raster_stages import filled_corners, grounds, highest_possible, stages
+from ltm_core.tracing.raster_stages import filled_corners, grounds, stages
 
 _Value = TypeVar("_Value")
 
@@ -55,20 +55,15 @@ class TracerStatistics:
 
 
 class BoundedCache(Generic[_Value]):
-    """Cache of values by key that evicts the least recently used ones when the total exceeds `most_bytes`.
-    Thread-safe."""
+    """Cache of values by key that evicts the least recently used ones when the total, `held_bytes`, exceeds
+    `most_bytes`. Thread-safe."""
 
     def __init__(self, most_bytes: int, size_of: Callable[[_Value], int]) -> None:
         self._most = most_bytes
         self._size_of = size_of
         self._values: OrderedDict[Hashable, _Value] = OrderedDict()
-        self._held = 0
+        self.held_bytes = 0
         self._lock = threading.Lock()
-
-    @property
-    def held_bytes(self) -> int:
-        """Return the memory that the values take now."""
-        return self._held
 
     def get(self, key: Hashable) -> _Value | None:
         """Return the value and mark it as used; None if it is missing."""
@@ -84,12 +79,12 @@ class BoundedCache(Generic[_Value]):
         most = self._most if usual is None else min(self._most, max(usual, self._size_of(value)))
         with self._lock:
             if key in self._values:
-                self._held -= self._size_of(self._values.pop(key))
+                self.held_bytes -= self._size_of(self._values.pop(key))
             self._values[key] = value
-            self._held += self._size_of(value)
-            while self._held > most:
+            self.held_bytes += self._size_of(value)
+            while self.held_bytes > most:
                 _, oldest = self._values.popitem(last=False)
-                self._held -= self._size_of(oldest)
+                self.held_bytes -= self._size_of(oldest)
 
 
 # Fewer pixels than this do not repay the profile of a position that may never be seen again.
@@ -121,8 +116,8 @@ class TerrainTracer:
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
         self.possible = possible
-        self._grounds = grounds(dem, possible)
-        self._beyond = possible.steepest, highest_possible(dem, possible)
+        self._grounds, highest = grounds(dem, possible)
+        self._beyond = possible.steepest, highest
         self._profiles = BoundedCache[Profile](PROFILE_BYTES, _bytes)
         self._place: Hashable = None
         """Position of the last traced image."""
@@ -199,12 +194,6 @@ class TerrainTracer:
         self._check(position, np.eye(3))
         return self._trace(position, np.eye(3), rays)
 
-    def ground_clearance(self, pose: Pose) -> float:
-        """Return the height of the camera above the terrain, metres; negative under the ground, NaN outside the DEM and
-        in holes."""
-        x, y, z = pose.position
-        return float(z - self.dem.elevation_at(x, y))
-
     def _trace(self, origin: Float64Array, rotation: Float64Array, rays: Float64Array) -> Float32Array:
         ranges = np.full(len(rays), FRESH, np.float32)
         turned = np.ascontiguousarray(rotation, np.float64)
@@ -228,21 +217,14 @@ class TerrainTracer:
                 f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) is {abs(clearance):.2f} m under the ground, which is at "
                 f"{z - clearance:.2f} m: check its height, the vertical datum (ellipsoidal or geoid) and the position"
             )
-        ceiling = self._hole_ceiling(origin)
-        if ceiling is not None and z <= ceiling:
+        levels = zip(self.dem.levels, self._grounds, strict=True)
+        around = next((f for level, of in levels if (f := filled_corners(level, of, origin)) is not None), None)
+        ceiling = np.nan if around is None else float(around.max())  # NaN in an outer hole, too
+        if clearance != clearance and z <= ceiling:
             raise PoseError(
                 f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) is in a nodata hole of the DEM, {ceiling - z:.2f} m below "
                 f"the highest ground around it ({ceiling:.2f} m): fill the hole, or raise the camera above it"
             )
-
-    def _hole_ceiling(self, position: Float64Array) -> float | None:
-        """Return the ceiling of the enclosed hole under a position; None where there is none."""
-        for dem, ground in zip(self.dem.levels, self._grounds, strict=True):
-            filled = filled_corners(dem, ground, position)
-            if filled is not None:
-                known = not np.isnan(dem.elevation_at(position[0], position[1]))
-                return None if known or np.isnan(filled).any() else float(filled.max())
-        return None
 
 
 _caching: weakref.WeakSet[TerrainTracer] = weakref.WeakSet()

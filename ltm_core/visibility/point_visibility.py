@@ -14,7 +14,7 @@ from ltm_core.geometry.geodesy import ray_bend
 from ltm_core.geometry.pose import Pose
 from ltm_core.raster.dem import Dem
 from ltm_core.tracing.possible_ground import PossibleGround
-from ltm_core.tracing.raster_stages import grounds, highest_possible, stages
+from ltm_core.tracing.raster_stages import grounds, stages
 from ltm_core.visibility.footprint import line_of_sight_vectors
 from ltm_core.visibility.occlusion_kernels import BEYOND, BY_CEILING, OVER_KNOWN, raise_slopes
 
@@ -61,8 +61,8 @@ class PointVisibility:
     ) -> None:
         self.dem = dem
         self.bend = ray_bend(curvature, refraction)
-        self._grounds = grounds(dem, possible)
-        self._beyond = possible.steepest, highest_possible(dem, possible)
+        self._grounds, highest = grounds(dem, possible)
+        self._beyond = possible.steepest, highest
 
     def lifts(self, origin: ArrayLike, points: ArrayLike) -> tuple[Float64Array, BoolArray]:
         """Return the lift that makes points visible from `origin`, (N,) metres, 0 if they are visible; and whether it

@@ -118,7 +118,12 @@ class Segmenter:
         height, width = image.shape[:2]
         if self.manifest.output.kind == "ids":
             return self._from_ids(fitted(image, self.manifest.input), height, width)
-        probabilities = self._label_probabilities(self._corrected(image))
+        scores = self._corrected(image)
+        probabilities = np.zeros((len(self._group_labels), *scores.shape[1:]), np.float32)
+        # Of each label the sum of its classes', without a matrix product, whose threads would spin for cores.
+        for group, probability in zip(self._group_of_class, self._probabilities(scores), strict=True):
+            probabilities[group] += probability
+        np.clip(probabilities, 0.0, 1.0, out=probabilities)
         for label, where in unlikely.items():
             for group in np.flatnonzero(self._group_labels == label):
                 less_likely(probabilities, int(group), where)
@@ -226,14 +231,6 @@ class Segmenter:
                 "0..1; if these are logits, write `kind: logits` in the manifest"
             )
         return np.concatenate([1.0 - scores, scores]) if len(scores) == 1 else scores
-
-    def _label_probabilities(self, scores: Float32Array) -> Float32Array:
-        """Return the scores (K, h, w) -> (G, h, w) probability of each known label: the sum of those of its classes,
-        without a matrix product, whose threads would spin for cores."""
-        grouped = np.zeros((len(self._group_labels), *scores.shape[1:]), np.float32)
-        for group, probability in zip(self._group_of_class, self._probabilities(scores), strict=True):
-            grouped[group] += probability
-        return np.clip(grouped, 0.0, 1.0, out=grouped)
 
 
 def mask_scores(masks: Float32Array, queries: Float32Array, count: int) -> Float32Array:

@@ -1,7 +1,7 @@
 """Writes the gallery of real photos: a page, and a sheet of pictures for each photo, all of one size."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +19,14 @@ from ltm_core.pictures import (
     to_jpeg,
     with_legend,
 )
+from ltm_core.pictures.legend import Palette
 from ltm_core.vision.labels import UNLABELLED, LabelSet
 from ltm_lab.evaluation.gallery.exhibit import Exhibit, Section
 from ltm_ros.pages import render_page
 
 PAGE, PICTURES = "gallery.html", "pictures"
 _COLUMNS, _WIDTH = 2, 900
-_RIGHT, _WRONG = (30, 138, 66), (208, 52, 38)
-
-
-@dataclass(frozen=True)
-class _Judged:
-    names: tuple[str, ...] = ("right", "wrong")
-    colors: tuple[tuple[int, int, int], ...] = (_RIGHT, _WRONG)
+_JUDGED = Palette(("right", "wrong"), ((30, 138, 66), (208, 52, 38)))
 
 
 def write_gallery(out: Path, data: Path, sections: Sequence[Section], networks: Sequence[str]) -> Path:
@@ -79,9 +74,9 @@ def sheet_of(exhibit: Exhibit, labels: LabelSet) -> RgbImage:
     if exhibit.truth is not None:
         known = exhibit.truth != UNLABELLED
         judged = np.where(known, exhibit.truth != exhibit.labels, UNLABELLED).astype(np.uint8)
-        picture = overlay_labels(photo, judged, _Judged(), 0.6)
+        picture = overlay_labels(photo, judged, _JUDGED, 0.6)
         pictures.append(
-            ("labels, where the truth is known", with_legend(picture, label_legend(photo.shape[1], _Judged())))
+            ("labels, where the truth is known", with_legend(picture, label_legend(photo.shape[1], _JUDGED)))
         )
     if exhibit.traced is not None and exhibit.fused is not None:
         scale = RangeScale.of(exhibit.traced)

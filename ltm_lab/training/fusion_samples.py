@@ -67,7 +67,7 @@ def frame_samples(
         return None
     ground, step = traced.depth(), round(rgb.shape[1] / true.shape[1])
     view = NetworkView.of(fit, rgb, config)
-    standing = OcclusionPrior.of(ground, labels, classes, traced.camera, traced.pose, view.shape, config)
+    standing = OcclusionPrior.of(ground, labels, classes, traced.camera, traced.pose, view.cells.shape[1:], config)
     ids = np.array([label_set.id_of(name) for name in CLASSES[:-1]])
     depth, sigma = seen.copy(), spread.copy()
     refine_occlusion_boundaries(rgb, depth, sigma, ground, labels, classes, traced.camera, config)

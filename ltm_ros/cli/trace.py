@@ -54,14 +54,12 @@ def trace(
     known = ranges[np.isfinite(ranges)]
     cell_area = setup.dem.geometry.resolution**2
     title = f"{setup.camera.width} x {setup.camera.height} pixels over {', '.join(path.name for path in dem)}"
-    clearance = tracer.ground_clearance(setup.pose)
+    x, y, z = setup.pose.position
+    clearance = float(z - setup.dem.elevation_at(x, y))
     rows = [("camera above the ground", "outside the DEM" if np.isnan(clearance) else f"{clearance:.1f} m")]
-    for name, share in (
-        ("terrain", np.isfinite(ranges).mean()),
-        ("sky", np.isposinf(ranges).mean()),
-        ("unknown (outside the DEM, nodata)", np.isnan(ranges).mean()),
-    ):
-        rows.append((name, f"{share:.1%} of the pixels"))
+    shares = np.isfinite(ranges).mean(), np.isposinf(ranges).mean(), np.isnan(ranges).mean()
+    names = "terrain", "sky", "unknown (outside the DEM, nodata)"
+    rows += [(name, f"{share:.1%} of the pixels") for name, share in zip(names, shares, strict=True)]
     if known.size:
         near, median, far = np.percentile(known, [0, 50, 100])
         rows.append(("range: minimum, median, maximum", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m"))
@@ -71,7 +69,7 @@ def trace(
     if known.size and (unknown := mostly_unknown(ranges)):
         warn(f"{unknown}.")
     if not known.size:
-        x, y = setup.frame.x_origin + setup.pose.position[0], setup.frame.y_origin + setup.pose.position[1]
+        x, y = setup.frame.x_origin + x, setup.frame.y_origin + y
         covered = setup.dem.geometry.translated(setup.frame.x_origin, setup.frame.y_origin).bounds
         warn(
             f"No pixel sees the terrain. The camera is at ({x:.0f}, {y:.0f}) in {setup.frame.crs}; the "

@@ -186,7 +186,7 @@ def traced_error(true: Pose, rays: Float64Array, pose: Pose, tracer: TerrainTrac
     some = rays[:: max(1, len(rays) // 300)]
     places = []
     for at in (true, pose):
-        if not tracer.ground_clearance(at) > 0:
+        if not at.position[2] > tracer.dem.elevation_at(*at.position[:2]):
             return math.nan
         directions = some @ at.rotation.T
         ranges = tracer.trace_rays(at.position, directions).astype(np.float64)

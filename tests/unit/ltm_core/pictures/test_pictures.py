@@ -4,6 +4,7 @@ from scenes.rasters import rough_terrain, standing
 
 from ltm_core.base.errors import RasterError
 from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
@@ -146,8 +147,9 @@ def test_the_photo_shows_through_and_its_sky_stays_as_it_is() -> None:
 def test_the_map_marks_what_is_seen() -> None:
     image = traced()
     counts = cell_counts(image)
-    seen = map_picture(image, DEM, counts, "seen")
-    unseen = map_picture(image, DEM, np.zeros_like(counts), "seen")
+    frame = SiteFrame("EPSG:32632")
+    seen = map_picture(image, DEM, counts, "seen", frame)
+    unseen = map_picture(image, DEM, np.zeros_like(counts), "seen", frame)
     assert seen.ndim == 3
     assert seen.shape[1] > 1200, "with axes"
     # Seen cells are orange: more red over blue than the bare terrain anywhere has.

@@ -15,7 +15,7 @@ def test_over_a_plane_every_wedge_ends_at_its_rim(offset: float) -> None:
     """Also from a node line, from which the strip behind lies at a distance of nothing."""
     geometry = GridGeometry(0.0, float(HEIGHT), 1.0, WIDTH, HEIGHT, None)
     dem = Dem(np.full((HEIGHT, WIDTH), 100.0, np.float32), geometry)
-    (ground,) = grounds(dem, PossibleGround())
+    (ground,), _ = grounds(dem, PossibleGround())
     x, y = geometry.to_map(30 + offset, 40 + offset)
     ((_, stage),) = stages(dem, np.array([x, y, 112.0]), 0.0, 1.5, 200.0)
     wedges = extended(no_wedges(), np.arange(4 * 3072, dtype=np.int64), ground, stage)

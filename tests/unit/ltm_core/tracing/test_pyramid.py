@@ -34,8 +34,8 @@ def test_every_bound(shape: tuple[int, int], missing: float) -> None:
     filled, outer = with_ceilings(nodes, RISE, HIGHEST)
     assert (pyramid.outside.size > 0) == outer.any()
     rows, cols = shape[0] - 1, shape[1] - 1
-    assert 2**pyramid.top_level >= max(rows, cols)
-    for level in range(LEAF, pyramid.top_level + 1):
+    assert 2 ** (len(pyramid.offsets) - 1) >= max(rows, cols)
+    for level in range(LEAF, len(pyramid.offsets)):
         height, width = -(-rows // 2**level), -(-cols // 2**level)
         assert pyramid.widths[level] == width
         start = pyramid.offsets[level]
