@@ -29,7 +29,7 @@ from ltm_core.site.networks import label_network, prompt_segmenter, site_scene_f
 from ltm_core.site.site import Site
 from ltm_core.surface.confirmed_surface import AS_GIVEN
 from ltm_core.surface.surface_versions_io import ConfirmedTerrain
-from ltm_core.tracing import TerrainTracer
+from ltm_core.tracing.tracer import TerrainTracer
 from ltm_core.visibility.footprint import ground_normals
 from ltm_core.vision.labels import UNLABELLED, Label, LabelSet
 from ltm_core.vision.masks import Looking
