@@ -36,7 +36,7 @@ def test_wrong_files(tmp_path: Path, text: str, messages: list[str]) -> None:
 
 def test_the_line_of_a_wrong_value_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as raised:
-        load(tmp_path, "# sizes\nresolution: 30\nfusion:\n  # how\n  fill_cells: high\nphase: wide\n")
+        load(tmp_path, "# sizes\nresolution: 30\nexpert:\n  # how\n  steepest_deg: high\nphase: wide\n")
     assert "got 'wide', line 6)" in str(raised.value)
     assert "line 5" in str(raised.value)
 

@@ -55,8 +55,8 @@ def test_waits_longer_after_each_death_but_not_after_a_long_run() -> None:
 
 def test_is_started_again_after_a_configuration_error_that_passes(tmp_path: Path) -> None:
     """Such as a disk that is mounted late."""
-    program = f"import os, sys, time; os.path.exists({str(tmp_path / 'disk')!r}) or sys.exit(78); print('a disk'); time.sleep(600)"
-    one = Supervised(f"print('no disk'); {program}")
+    program = f"import os, sys, time; os.path.exists({str(tmp_path / 'disk')!r}) or sys.exit(78); print('a disk')"
+    one = Supervised(f"print('no disk'); {program}; time.sleep(600)")
     one.wait_for(lambda: one.process.failing)
     assert one.process.config_errors >= 2
     assert one.process.last_words[-1] == "no disk"
