@@ -145,7 +145,7 @@ MAP_ODOM = Pose.from_angles((1000.0, 2000.0, 30.0), 10.0)
 def read_poses(reader: BagReader, pose: str, start: float = 0.0) -> dict[float, Any]:
     topics = {"image": "/rig/image_raw", "pose": pose}
     inputs = InputReader(reader, site(north={"topics": topics}, other={"topics": topics | {"image": "/other"}}))
-    assert inputs.converts
+    assert inputs.sources
     found = {}
     for message in inputs.messages(inputs.topics, round(start * S)):
         if message.topic == "/ridge/north/pose":  # the other camera has a frame of its own
