@@ -12,7 +12,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import config, njit, types
-from numba.core import caching, cgutils, entrypoints
+from numba.core import caching, cgutils
 from numba.core.runtime import rtsys
 from numba.extending import intrinsic
 
@@ -34,35 +34,46 @@ def use_cache(source: Path) -> None:
         config.CPU_NAME, config.CPU_FEATURES = level, ""
 
 
-caching.CompileResultCacheImpl._locator_classes = [_ByModule, *caching.CacheImpl._locator_classes]
+class _KernelCacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_ByModule, *caching.CacheImpl._locator_classes)
+
+
+class _KernelCache(caching.FunctionCache):  # type: ignore[misc]
+    """Compiled kernels on disk. Functions of other packages, or of a user, keep numba's own cache."""
+
+    _impl_class = _KernelCacheImpl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a compiled kernel; only if there is none, load all that numba compiles with (0.4 s), without SciPy's
+        linear algebra (0.4 s): no kernel multiplies matrices."""
+        rtsys.initialize(target_context)
+        loaded = self._load_overload(sig, target_context)
+        blas = "scipy.linalg.cython_blas"
+        if loaded is None and blas not in sys.modules:
+            sys.modules[blas] = None  # type: ignore[assignment]
+            try:
+                import numba.np.arraymath  # noqa: F401
+            finally:
+                del sys.modules[blas]
+        return loaded
+
+
 use_cache(Path(__file__).parents[1])
-entrypoints._already_initialized = True  # else it searches all installed packages for extensions of numba
-
-
-def _load_overload(cache: Any, signature: Any, target: Any) -> Any:
-    """Load a compiled function; only if there is none, load all that numba compiles with (0.4 s), without SciPy's
-    linear algebra (0.4 s): no kernel multiplies matrices."""
-    rtsys.initialize(target)
-    loaded = cache._load_overload(signature, target)
-    blas = "scipy.linalg.cython_blas"
-    if loaded is None and blas not in sys.modules:
-        sys.modules[blas] = None  # type: ignore[assignment]
-        try:
-            import numba.np.arraymath  # noqa: F401
-        finally:
-            del sys.modules[blas]
-    return loaded
-
-
-caching.FunctionCache.load_overload = _load_overload
 
 _Decorator = Callable[[Callable[..., Any]], Any]
 
 
 def kernel(**options: Any) -> _Decorator:
     """Return a decorator for a kernel that Python calls; `options` of `numba.njit`."""
-    decorator: _Decorator = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)
-    return decorator
+    decorator = njit(error_model="numpy", no_cfunc_wrapper=True, **options)
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = decorator(function)
+        if not config.DISABLE_JIT:
+            dispatcher._cache = _KernelCache(function)  # as `cache=True` does with numba's own
+        return dispatcher
+
+    return compiled
 
 
 def helper(**options: Any) -> _Decorator:

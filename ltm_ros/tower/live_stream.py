@@ -28,9 +28,9 @@ CHUNK: Final = 4096
 PAGE_S: Final = 2.0
 """Seconds between two pages; they also show that the connection works."""
 MAP_S: Final = 5.0
-"""Least seconds between two maps, and"""
+"""Minimum time between two maps in seconds."""
 MAP_SHARE: Final = 0.2
-"""largest share of the rate for them."""
+"""Maximum share of the rate that maps may take."""
 IDLE_S: Final = 0.1
 ROUND_S: Final = 2.0
 """Seconds in which every camera is sent once; images get smaller with the number of cameras."""

@@ -1,6 +1,9 @@
 import threading
 
+import numpy as np
 import pytest
+from numba import config, njit
+from numba.core import caching
 
 from ltm_core.base import kernels
 
@@ -24,3 +27,16 @@ def test_an_error_in_a_part_reaches_the_caller(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(kernels._threads, "count", 2)
     with pytest.raises(ZeroDivisionError):
         kernels.in_parallel(lambda first, _: 1 // (first - first), 40)
+
+
+def _doubled(x: float) -> float:
+    return 2.0 * x
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_functions_of_a_user_are_loaded_as_numba_loads_them() -> None:
+    own, ours = njit(cache=True)(_doubled), kernels.kernel()(_doubled)
+    assert own._cache.load_overload.__module__ == caching.__name__
+    assert kernels._ByModule not in own._cache._impl_class._locator_classes
+    assert ours._cache.load_overload.__module__ == kernels.__name__
+    assert own(np.float64(2.0)) == ours(np.float64(2.0)) == 4.0

@@ -138,7 +138,8 @@ def release(tmp_path: Path) -> Path:
         "from pathlib import Path\nfrom ltm_core.base.kernels import use_cache\nuse_cache(Path(__file__).parent)\n"
     )
     for name, text in (("caller", CALLER), ("called", CALLED.format(term=1.0)), ("constants", CONSTANTS)):
-        (built / f"{name}.py").write_text(text)
+        ours = text.replace("import numba\n", "from ltm_core.base.kernels import kernel\n")
+        (built / f"{name}.py").write_text(ours.replace("numba.njit(cache=True)", "kernel()"))
     (built / "origin.py").write_text(ORIGIN.format(offset=0.0))
     assert hits(built.parent, NUMBA_CPU_NAME="x86-64-v2", NUMBA_CPU_FEATURES="") == "2.0 0 x86-64-v2"
     (folder,) = (built / "__pycache__").glob("ltm-kernels-*")

@@ -76,7 +76,7 @@ def test_a_lens_s_distortion_is_taken_out() -> None:
 
 
 def uneven(evidence: PictureEvidence, sigmas: float) -> PictureEvidence:
-    """Every other column of its skyline is too high, the rest too low, by so many of their sigmas at the true pose."""
+    """Return the evidence with a skyline that is off by `sigmas` standard deviations, up and down in turn."""
     horizon = terrain().horizon_for(evidence.camera, NEAR)
     rows = skyline_observations(TRUE, evidence.camera, PoseProblem(evidence, horizon, NEAR), 1.0)
     assert rows is not None
