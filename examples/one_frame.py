@@ -112,7 +112,7 @@ def report(made: OneFrame) -> None:
     moved = np.median(np.abs(fused.depth[ground] - depth[ground]))
     shares = [f"{name} {(made.segmentation.labels == i).mean():.1%}" for i, name in enumerate(LabelSet.load().names)]
     print(f"photo  {made.frame.image.shape[1]} x {made.frame.image.shape[0]} of {made.frame.camera_name}")
-    print(f"depth  {np.isfinite(depth).mean():.1%} of the pixels see terrain, {np.median(depth[ground]):.0f} m off")
+    print(f"depth  {np.isfinite(depth).mean():.1%} of the pixels show terrain, median {np.median(depth[ground]):.0f} m")
     print(f"labels {', '.join(shares)}")
     print(f"fused  verdict {fused.verdict}, {moved:.2f} m from the traced depth in the median")
     print(f"votes  {votes.counts.sum():,} pixels in {len(votes)} cells of {votes.geometry.resolution:g} m")
