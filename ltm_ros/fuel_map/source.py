@@ -71,7 +71,8 @@ class FuelSource:
         prior = None if site.fuel.prior is None else load_prior(site.fuel.prior, grid)
         climate = FuelClimate.named(site.fuel.climate)
         shown, empty = (layers_of_classes(one, prior, climate) for one in (classes, np.full_like(classes, UNSEEN)))
-        return cls(site, labels, grid, prior, shown, empty)
+        unknown = np.full(classes.shape, np.nan, np.float32)  # classes do not say how certain they are
+        return cls(site, labels, grid, prior, replace(shown, p_max=unknown, entropy=unknown), empty)
 
     @property
     def climate(self) -> FuelClimate:
@@ -118,8 +119,7 @@ class FuelSource:
 
     def _accuracy(self) -> str:
         """Return the accuracy that `ltm assess report` wrote beside the store; empty if there is none."""
-        path = None if self.folder is None else self.folder / ACCURACY_FILE
-        if path is None or not path.is_file():
+        if self.folder is None or not (path := self.folder / ACCURACY_FILE).is_file():
             return ""
         try:
             return str(json.loads(read_text(path, _LARGEST_ACCURACY, ConfigError))["accuracy"])

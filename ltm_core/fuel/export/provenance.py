@@ -12,7 +12,7 @@ from ltm_core.fuel.export.landscape import LANDSCAPE_BANDS, LANDSCAPE_UNITS
 from ltm_core.surface.confirmed_surface import SurfaceVersion
 
 NOTHING_SEEN = "nothing seen"
-WITHOUT_DATES = "not known: a map without dates"
+WITHOUT_DATES = "unknown date"
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import rasterio
 import yaml
+from PIL import Image
 from scenes.command_line import ltm
 
 from ltm_core.base.errors import ConfigError
@@ -73,6 +74,10 @@ def test_what_fire_models_read(bag: Path, site_file: Path, tmp_path: Path) -> No
     np.testing.assert_array_equal(bands[4][0], [0, 0, 55, -9999])
     ltm("export", bag, "--site", site_file, "--out", tmp_path / "map.kmz")
     assert sorted(zipfile.ZipFile(tmp_path / "map.kmz").namelist()) == ["doc.kml", "legend.png", "map.png"]
+    # Classes do not say how certain they are: beside life forms and fuel models, a picture shows no uncertainty.
+    ltm("export", bag, "--site", site_file, "--out", tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as picture:
+        assert picture.height < 0.6 * picture.width
 
 
 def terrain(folder: Path) -> None:
