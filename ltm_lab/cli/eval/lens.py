@@ -33,11 +33,21 @@ def lens(
     console = Console()
     held_out = score_held_out(finse, kind) if finse else []
     rows = [
-        (s.fit, s.points, f"{s.inside:.0%}", f"{s.rmse:.2f}", f"{s.median:.2f}", f"{s.median_fitted:.2f}")
+        (s.fit, s.points, f"{s.inside:.0%}", s.used, f"{s.inside_used:.0%}", f"{s.rmse:.2f}", f"{s.median:.2f}",
+         f"{s.median_fitted:.2f}")
         for s in held_out
-    ]
+    ]  # fmt: skip
     if rows:
-        columns = ("fit", "points", "inside 95 %", "RMSE px", "median px", "median px, fitted")
+        columns = (
+            "fit",
+            "points",
+            "inside 95 %",
+            "not rejected",
+            "inside 95 % of these",
+            "RMSE px",
+            "median px",
+            "median px, fitted",
+        )
         print_table(console, "held-out points of the webcam", columns, rows)
     trials = run_finse(finse, kind, starts) if finse else []
     for folder in folders or []:

@@ -53,11 +53,14 @@ class LensTrial:
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """Points that were left out of the fit. `inside`: share inside their 95 % ellipses; `rmse`, `median`: pixels."""
+    """Points that were left out of the fit. `inside`: share inside their 95 % ellipses; `inside_used`: the same of
+    the `used` points that the fit of all points does not reject; `rmse`, `median`: pixels."""
 
     fit: str
     points: int
     inside: float
+    used: int
+    inside_used: float
     rmse: float
     median: float
     median_fitted: float
@@ -141,21 +144,24 @@ def score_held_out(folder: Path, kind: str) -> list[HeldOutScore]:
     stated = Camera(1920, 1080, 1484.0, 1484.0, 959.5, 539.5)
     position, bend = np.array([169.2, 421.3, 1212.0]), ray_bend(True, 0.13)
     scores = []
+    folds = np.arange(len(marked.names)) % _FOLDS
+    away, inside = np.zeros(len(folds)), np.zeros(len(folds), np.bool_)
     for name, lens in (("focal, k1", None), (f"lens:{kind}", LensPrior.of(kind, stated))):
-        distances, squares, own = [], [], []
-        for fold in range(_FOLDS):
-            left = np.arange(len(marked.names)) % _FOLDS == fold
-            fit = resect(
-                _some(marked, ~left), stated, position, None, ("focal", "k1", "position"), bend, 3.0, lens=lens
-            )
+        fits = [
+            resect(_some(marked, ~left), stated, position, None, ("focal", "k1", "position"), bend, 3.0, lens=lens)
+            for left in (folds == fold for fold in range(_FOLDS + 1))  # the last leaves nothing out
+        ]
+        used, own = fits.pop().used, []
+        for fold, fit in enumerate(fits):
+            left = folds == fold
             error, square = _predicted(fit, _some(marked, left), bend)
-            distances += list(np.hypot(*error.T))
-            squares += list(square)
+            away[left], inside[left] = np.hypot(*error.T), square < _INSIDE_95
             own += list(fit.residual_px[fit.used])
-        away = np.array(distances)
-        inside = float((np.array(squares) < _INSIDE_95).mean())
         rmse, typical = float(np.sqrt(np.mean(away**2))), float(np.median(away))
-        scores.append(HeldOutScore(name, len(away), inside, rmse, typical, float(np.median(own))))
+        agreed = int(used.sum()), float(inside[used].mean())
+        scores.append(
+            HeldOutScore(name, len(away), float(inside.mean()), *agreed, rmse, typical, float(np.median(own)))
+        )
     return scores
 
 
