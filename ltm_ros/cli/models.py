@@ -159,7 +159,7 @@ def _labels(segmenter: Segmenter, photo: UInt8Array) -> tuple[str, UInt8Array]:
     labels = segmented.labels
     shares = np.bincount(labels.ravel(), minlength=256) / labels.size
     seen = [int(label) for label in np.argsort(-shares) if shares[label] >= 0.01]
-    legend = label_legend(photo.shape[1], segmenter.labels, seen)
+    legend = label_legend(photo.shape[1], segmenter.labels, np.flatnonzero(shares).tolist())
     text = ", ".join(f"{segmenter.labels.name_of(label)} {shares[label]:.0%}" for label in seen)
     return f"{text}, {spent}", with_legend(overlay_labels(photo, labels, segmenter.labels), legend)
 
