@@ -82,8 +82,8 @@ def locate(
         files[PLACE_FILES[0] if reverse else FILES[1]] = f"{text}\n".encode()
         for name, content in files.items():
             (out / name).write_bytes(content)
-            if not as_json:
-                say(f"  {out / name}")
+        for name in [] if as_json else [*files, *([] if reverse else FILES[3:])]:
+            say(f"  {out / name}")
 
 
 def _show_marks(
