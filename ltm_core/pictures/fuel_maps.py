@@ -18,6 +18,7 @@ from ltm_core.fuel.class_map import CoverageMap
 from ltm_core.fuel.codes import code_colors, code_names, fuel_models
 from ltm_core.fuel.decision import FuelLayers, changed_cells
 from ltm_core.fuel.life_form import NODATA, LifeForm
+from ltm_core.geometry.camera import strips
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pictures.legend import UNLABELLED, ClassPalette, Palette, Text, color_map, label_legend, text_width
 from ltm_core.pictures.maps import (
@@ -109,11 +110,13 @@ class FuelCanvas:
         """Return the colours (H, W, 3) of the known cells over relief, with all that a map has. Raises RasterError."""
         if known.shape != self._shape:
             raise RasterError(f"cells of shape {known.shape} do not fit a raster of {self._shape}")
-        shown = self._inside & known[self._row, self._col]
-        # Shade the colours too, or steep ground loses its shape under them.
-        tinted = np.clip(colors[self._row, self._col] * (0.4 + 0.62 * self._relief[..., :1] / 255.0), 0, 255)
-        mixed = (self._relief * (1 - _OPACITY) + tinted * _OPACITY).round().astype(np.uint8)
-        picture = np.where(shown[..., None], mixed, self._relief)
+        picture = np.empty_like(self._relief)
+        for rows in strips(len(picture)):
+            relief, cells = self._relief[rows], (self._row[rows], self._col)
+            # Shade the colours too, or steep ground loses its shape under them.
+            tinted = np.clip(colors[cells] * (0.4 + 0.62 * relief[..., :1] / 255.0), 0, 255)
+            mixed = (relief * (1 - _OPACITY) + tinted * _OPACITY).round().astype(np.uint8)
+            picture[rows] = np.where((self._inside[rows] & known[cells])[..., None], mixed, relief)
         if outlined is not None:
             draw_outline(picture, self._inside & outlined[self._row, self._col], self._cell / self.view.resolution)
         return self._framed(picture, names)

@@ -155,12 +155,9 @@ def depth_colors(ranges: ArrayLike, scale: RangeScale | None = None) -> RgbImage
     """Return the colours (..., 3) of ranges or depths (...) in metres; +inf is sky, NaN (and -inf) unknown."""
     values = np.asarray(ranges, np.float32)
     fraction = (scale or RangeScale()).fraction(values)
-    known = np.isfinite(fraction)
-    index = np.where(known, fraction * 255, 0).round().astype(np.uint8)
-    colors = scale_colors()[index].copy()
-    colors[~known] = UNKNOWN_COLOR
-    colors[np.isposinf(values)] = SKY_COLOR
-    return colors
+    colors = np.array([*scale_colors(), UNKNOWN_COLOR, SKY_COLOR], np.uint8)
+    index = np.where(np.isfinite(fraction), fraction * 255, 256).round()
+    return colors.take(np.where(np.isposinf(values), 257, index).astype(np.intp), axis=0)
 
 
 PAPER = (250, 250, 249)

@@ -31,7 +31,7 @@ def label_colors(labels: UInt8Array, label_set: ClassPalette, unlabelled: Color 
     table = np.tile(np.array(unlabelled, np.uint8), (256, 1))
     table[: len(label_set.colors)] = label_set.colors
     table[UNLABELLED] = unlabelled
-    return table[np.asarray(labels, np.uint8)]
+    return table.take(np.asarray(labels, np.uint8), axis=0)
 
 
 def overlay_depth(

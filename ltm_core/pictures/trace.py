@@ -142,7 +142,7 @@ def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     picture[np.isnan(traced.range)] = UNKNOWN_COLOR
     for rows in strips(len(picture)):
         known = np.isfinite(traced.range[rows])
-        light = brightness_at(dem, *traced.points()[rows][known].T[:2])
+        light = brightness_at(dem, *(traced.points()[rows, :, k][known] for k in (0, 1)))
         picture[rows][known] = np.clip(35 + 250 * np.nan_to_num(light, nan=0.7), 0, 255)[:, None]
     return picture
 

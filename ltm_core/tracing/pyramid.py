@@ -52,9 +52,10 @@ def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
     def blocks(of: NDArray[Any], level: int) -> NDArray[Any]:
         return of[offsets[level] :][: heights[level] * widths[level]].reshape(heights[level], widths[level])
 
-    _bounds_from_nodes(nodes, holes, blocks(bounds, LEAF))
+    flat, columns = nodes.ravel(), nodes.shape[1]
+    _bounds_from_nodes(flat, columns, holes, blocks(bounds, LEAF))
     if outside.size:
-        _outside_from_nodes(nodes, holes, blocks(outside, LEAF))
+        _outside_from_nodes(flat, columns, holes, blocks(outside, LEAF))
     for level in range(LEAF + 1, len(heights)):
         blocks(bounds, level)[:] = _of_four(np.maximum, blocks(bounds, level - 1))
         if outside.size:
@@ -64,11 +65,9 @@ def build_pyramid(nodes: Float32Array, holes: Holes) -> MaximumPyramid:
 
 
 @kernel()
-def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) -> None:
+def _bounds_from_nodes(flat: Float32Array, n_cols: int, holes: Holes, bounds: Float32Array) -> None:
     """Compute the level LEAF: the bound of a block of cells from its nodes."""
-    n_rows, n_cols = nodes.shape
-    flat = nodes.ravel()
-    size = 1 << LEAF
+    n_rows, size = len(flat) // n_cols, 1 << LEAF
     for i in range(bounds.shape[0]):
         row0, row_end = size * i, min(size * (i + 1), n_rows - 1)
         for j in range(bounds.shape[1]):
@@ -76,7 +75,7 @@ def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) 
             highest = np.float32(-np.inf)
             for row in range(row0, row_end + 1):
                 for col in range(col0, col_end + 1):
-                    node = nodes[row, col]
+                    node = flat[row * n_cols + col]
                     if node > highest:
                         highest = node
                     elif node != node:
@@ -85,11 +84,9 @@ def _bounds_from_nodes(nodes: Float32Array, holes: Holes, bounds: Float32Array) 
 
 
 @kernel()
-def _outside_from_nodes(nodes: Float32Array, holes: Holes, outside: UInt8Array) -> None:
+def _outside_from_nodes(flat: Float32Array, n_cols: int, holes: Holes, outside: UInt8Array) -> None:
     """Compute the level LEAF: a cell is an outer hole where one of its nodes belongs to one."""
-    n_rows, n_cols = nodes.shape
-    flat = nodes.ravel()
-    size = 1 << LEAF
+    n_rows, size = len(flat) // n_cols, 1 << LEAF
     for i in range(outside.shape[0]):
         row0, row_end = size * i, min(size * (i + 1), n_rows - 1)
         for j in range(outside.shape[1]):

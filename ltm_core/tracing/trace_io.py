@@ -113,10 +113,10 @@ def cell_counts(traced: RangeImage) -> UInt32Array:
     if traced.geometry is None:
         raise ImageError("this range image has no raster, so it has no cells")
     cells = traced.cells()
-    seen = cells[cells[..., 0] >= 0]
+    row, col = cells[..., 0].astype(np.int64), cells[..., 1]
     counts = np.zeros(traced.geometry.shape, np.uint32)
     # Not by bincount: over a large raster that takes twice the DEM's own memory.
-    np.add.at(counts.reshape(-1), seen[:, 0].astype(np.int64) * traced.geometry.width + seen[:, 1], np.uint32(1))
+    np.add.at(counts.reshape(-1), (row * traced.geometry.width + col)[row >= 0], np.uint32(1))
     return counts
 
 
