@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv
 
 from ltm_core.base.errors import ConfigError
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array, UInt8Array
@@ -197,7 +197,7 @@ class StratifiedSample:
         if variance <= 0:  # all cells were answered, or the map alone decides
             return share, share
         size = max(share * (1 - share) / variance - 1, 1e-3)
-        low, high = betaincinv(size * share, size * (1 - share), (0.025, 0.975))
+        low, high = scipy.special.betaincinv(size * share, size * (1 - share), (0.025, 0.975))
         return float(low), float(high)
 
 

@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from pyproj import Transformer
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, matrix_of_angles
 
 UPWARD = np.diag([1.0, -1.0, -1.0])
 """Rotation between camera axes x right, y down, z forward, and x right, y up, z backward."""
@@ -64,7 +63,7 @@ class ForeignPose:
             lon, lat, height = _geodetic().transform(x, y, z)
             rotation = east_north_up(lon, lat) @ rotation
             x, y = (float(v) for v in frame.from_lonlat(lon, lat))
-            turn = Rotation.from_euler("Z", -frame.true_to_grid_deg(0.0, x, y), degrees=True).as_matrix()
+            turn = matrix_of_angles("Z", -frame.true_to_grid_deg(0.0, x, y), degrees=True)
             return Pose(np.array([x, y, height - undulation]), turn @ rotation)
         origin = np.array([frame.x_origin, frame.y_origin, 0.0])
         place = self.position - origin
@@ -85,8 +84,7 @@ def _geodetic() -> Transformer:
 
 def east_north_up(lon: float, lat: float) -> Float64Array:
     """Return the rotation (3, 3) from Earth-centred axes to east, north, up."""
-    turned = Rotation.from_euler("ZX", [90 + lon, 90 - lat], degrees=True)
-    return np.asarray(turned.as_matrix().T, np.float64)
+    return matrix_of_angles("ZX", [90 + lon, 90 - lat], degrees=True).T
 
 
 def earth_centred(reference: Float64Array, local: Float64Array) -> Float64Array:
@@ -98,7 +96,7 @@ def earth_centred(reference: Float64Array, local: Float64Array) -> Float64Array:
 
 def omega_phi_kappa(radians: Float64Array) -> Float64Array:
     """Return the rotation, optical to map, of omega, phi and kappa: Rx Ry Rz of axes x right, y up, z backward."""
-    return np.asarray(Rotation.from_euler("XYZ", radians).as_matrix() @ UPWARD, np.float64)
+    return np.asarray(matrix_of_angles("XYZ", radians) @ UPWARD, np.float64)
 
 
 UNITS = {"degrees": np.pi / 180, "radians": 1.0, "gon": np.pi / 200}
@@ -145,7 +143,8 @@ def closest_camera(start: Camera, project: Callable[[Float64Array], Float64Array
         return np.nan_to_num(camera(p).project(rays[inside]) - pixels[inside], nan=start.width).ravel()
 
     first = np.array([start.fx, start.fy, start.cx, start.cy, *start.distortion])
-    solved = least_squares(errors, first, x_scale=np.array([*first[:2], *first[:2], 0.1, 0.1, 0.01, 0.01, 0.1]))
+    scale = np.array([*first[:2], *first[:2], 0.1, 0.1, 0.01, 0.01, 0.1])
+    solved = scipy.optimize.least_squares(errors, first, x_scale=scale)
     worst = float(np.hypot(*solved.fun.reshape(-1, 2).T).max())
     if worst > MOST_LENS_ERROR:
         what = f"{place}: its lens model differs by {worst:.1f} px from k1, k2, p1, p2, k3 (Brown-Conrady)"

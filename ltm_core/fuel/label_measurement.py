@@ -15,9 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy import ndimage
-from scipy.optimize import minimize
-from scipy.special import log_softmax
+import scipy  # loads its parts when they are first used
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float64Array, Int16Array, Int64Array, UInt8Array
@@ -102,12 +100,13 @@ def fit_softmax(
 
     def loss(flat: Float64Array) -> tuple[float, Float64Array]:
         weights = flat.reshape(shape)
-        log_p = log_softmax(offset + inputs @ weights, axis=1)
+        log_p = scipy.special.log_softmax(offset + inputs @ weights, axis=1)
         value = -float(weight @ (truth * log_p).sum(axis=1)) + float((ridge * weights**2).sum()) / 2
         slope = inputs.T @ (weight[:, None] * (np.exp(log_p) - truth)) + ridge * weights
         return value, slope.ravel()
 
-    found = minimize(loss, np.zeros(shape).ravel(), jac=True, method="L-BFGS-B", options={"maxiter": 300})
+    start = np.zeros(shape).ravel()
+    found = scipy.optimize.minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 300})
     return np.asarray(found.x.reshape(shape), np.float64)
 
 
@@ -152,7 +151,7 @@ def looks(
         cells = seen_cells([votes], truth, forms, LEAST_PIXELS_MEASURED)
         used = known[cells.true]
         shown = np.zeros((int(used.sum()), FORMS))
-        likelihood = log_softmax(look.log_likelihood(cells.seen[used], cells.cosine[used])[:, known], axis=1)
+        likelihood = scipy.special.log_softmax(look.log_likelihood(cells.seen[used], cells.cosine[used])[:, known], 1)
         shown[:, known] = likelihood - likelihood.mean(axis=1, keepdims=True)
         place = cells.rows[used], cells.cols[used], cells.true[used]
         result.append(FrameErrors(votes.source, *place, shown, (shown**2).sum(axis=1)))
@@ -210,15 +209,15 @@ def _between_cells(frame: FrameErrors, shape: tuple[int, ...], spread: Float64Ar
     side = 2 * int(2 * reach + 1) + 1
     impulse = np.zeros((side, side))
     impulse[side // 2, side // 2] = 1
-    itself = float(ndimage.gaussian_filter(impulse, reach, mode="constant", truncate=2.0).max())
+    itself = float(scipy.ndimage.gaussian_filter(impulse, reach, mode="constant", truncate=2.0).max())
     product = base = 0.0
     for form in np.unique(frame.true):
         of = frame.true == form
         here, mine = np.zeros(shape), np.zeros((*shape, FORMS))
         here[frame.rows[of], frame.cols[of]] = 1
         mine[frame.rows[of], frame.cols[of]] = frame.beyond[of]
-        about = ndimage.gaussian_filter(mine, (reach, reach, 0), mode="constant", truncate=2.0)
-        pairs = ndimage.gaussian_filter(here, reach, mode="constant", truncate=2.0) - itself
+        about = scipy.ndimage.gaussian_filter(mine, (reach, reach, 0), mode="constant", truncate=2.0)
+        pairs = scipy.ndimage.gaussian_filter(here, reach, mode="constant", truncate=2.0) - itself
         product += float((mine * (about - itself * mine)).sum())
         base += float((pairs * here).sum() * spread[form])
     return np.array([product, base])
@@ -269,7 +268,7 @@ def measure_labels(
                 f"{share:.0%} of the seen cells differ from the prior map; measure on frames from before the change, "
                 "or give a newer prior map"
             )
-        beside = ndimage.binary_dilation(changed > 0, np.ones((3, 3)))
+        beside = scipy.ndimage.binary_dilation(changed > 0, np.ones((3, 3)))
         truth = np.where(changed > 0, changed, np.where(beside, 255, prior)).astype(np.uint8)
         cells = seen_cells(votes, truth, forms)
         appearance = fit_cell_appearance([cells])

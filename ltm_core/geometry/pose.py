@@ -26,6 +26,11 @@ def matrix_of_quaternion(quaternion: ArrayLike) -> Float64Array:
     return np.asarray(_rotations().from_quat(quaternion).as_matrix(), np.float64)
 
 
+def matrix_of_angles(axes: str, angles: ArrayLike, degrees: bool = False) -> Float64Array:
+    """Return the matrices (..., 3, 3) of Euler angles (...) about SciPy's `axes`, "XYZ" for Rx Ry Rz; radians."""
+    return np.asarray(_rotations().from_euler(axes, angles, degrees).as_matrix(), np.float64)
+
+
 def matrix_of_vector(vector: ArrayLike) -> Float64Array:
     """Return the matrix (3, 3) of a rotation vector (3,): its axis, as long as its angle in radians."""
     return np.asarray(_rotations().from_rotvec(vector).as_matrix(), np.float64)
@@ -45,11 +50,6 @@ def nearest_vector(vector: Float64Array, to: Float64Array) -> Float64Array:
     axis = vector / angle
     turns = round((float(axis @ to) - angle) / (2 * np.pi))
     return np.asarray(vector + 2 * np.pi * turns * axis, np.float64)
-
-
-def matrix_of_pan_tilt(pan: float, tilt: float) -> Float64Array:
-    """Return the matrix (3, 3) of a turn about y by `pan` after one about x by `tilt`, radians."""
-    return np.asarray(_rotations().from_euler("YX", [pan, tilt]).as_matrix(), np.float64)
 
 
 @dataclass(frozen=True, eq=False)

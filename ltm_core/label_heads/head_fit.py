@@ -11,7 +11,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from scipy import optimize
+import scipy  # loads its parts when they are first used
 
 from ltm_core.base.errors import ImageError, RecordingError
 from ltm_core.base.types import BoolArray, Float64Array, Int64Array, UInt8Array
@@ -177,7 +177,7 @@ def fit_exponent(photos: Sequence[tuple[Float64Array, BoolArray]]) -> float:
         )
 
     bounds = tuple(np.log(_EXPONENTS))
-    return float(np.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
+    return float(np.exp(scipy.optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 
 def balanced(confusions: Sequence[Int64Array]) -> Float64Array:

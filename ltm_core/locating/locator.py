@@ -18,8 +18,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy import ndimage
-from scipy.special import chdtri, logsumexp, softmax
+import scipy  # loads its parts when they are first used
 
 from ltm_core.base.errors import RegionError
 from ltm_core.base.types import BoolArray, Float64Array, Int32Array
@@ -135,7 +134,7 @@ class Posterior:
         mask = np.zeros((int(rows.max()) - top + 1, int(cols.max()) - left + 1), np.bool_)
         mask[rows - top, cols - left] = True
         # Cells with one empty cell between them belong together: rays sampled in steps leave such.
-        labels, count = ndimage.label(ndimage.binary_dilation(mask, np.ones((3, 3))), np.ones((3, 3)))
+        labels, count = scipy.ndimage.label(scipy.ndimage.binary_dilation(mask, np.ones((3, 3))), np.ones((3, 3)))
         number = labels[rows - top, cols - left]
         places = self.places[chosen]
         sums = np.bincount(number, probability, count + 1)
@@ -228,7 +227,7 @@ class Locator:
         evidences = np.array([part.log_evidence for part in turned])
         statistic = math.inf
         if np.isfinite(fused.log_evidence):
-            statistic = float(logsumexp(evidences)) - math.log(len(names)) - fused.log_evidence
+            statistic = float(scipy.special.logsumexp(evidences)) - math.log(len(names)) - fused.log_evidence
         if not statistic > limit:
             return _location(fused, CameraAgreement(statistic, limit, {}))
         # What a wrong camera marks may be another thing, in any direction.
@@ -236,7 +235,7 @@ class Locator:
         elsewhere = np.array([part.log_evidence for part in without]) + math.log(_ELSEWHERE)
         both = np.logaddexp(evidences, elsewhere)
         # Equally likely before; where nothing is possible under any, still equal.
-        chances = softmax(both if np.isfinite(both.max()) else np.zeros(len(names))).tolist()
+        chances = scipy.special.softmax(both if np.isfinite(both.max()) else np.zeros(len(names))).tolist()
         agreement = CameraAgreement(statistic, limit, dict(zip(names, chances, strict=True)))
         likely = [k for k, chance in enumerate(chances) if chance >= _NEGLIGIBLE]
         return _location(mixture([without[k] for k in likely], [chances[k] for k in likely]), agreement)
@@ -244,7 +243,7 @@ class Locator:
     @property
     def limit(self) -> float:
         """Return the maximum misfit of one camera's sightings of one object."""
-        return float(chdtri(2, self.config.false_alarm))
+        return float(scipy.special.chdtri(2, self.config.false_alarm))
 
 
 def _location(fused: Fused, agreement: CameraAgreement | None) -> Location:

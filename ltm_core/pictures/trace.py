@@ -137,8 +137,8 @@ def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str, f
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     """Return the traced terrain (H, W, 3) as a camera would see it, grey under the relief's lights and a plain sky."""
     fade = np.linspace(0, 1, len(traced.range))[:, None, None]
-    picture = np.empty((*traced.range.shape, 3), np.uint8)
-    picture[...] = (1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON)
+    sky = ((1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON)).astype(np.uint8)
+    picture = np.repeat(sky, traced.range.shape[1], axis=1)
     picture[np.isnan(traced.range)] = UNKNOWN_COLOR
     for rows in strips(len(picture)):
         known = np.isfinite(traced.range[rows])

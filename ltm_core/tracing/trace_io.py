@@ -137,10 +137,9 @@ def write_trace(out: Path, traced: RangeImage, frame: SiteFrame, counts: UInt32A
         "horizontal": {"horizontal distance, m": traced.horizontal()},
         "alignment": {name: traced.points()[..., k] + origin[k] for k, name in enumerate(("x, m", "y, m", "z, m"))},
     }
-    written = []
-    for name, bands in layers.items():
-        written.append(out / f"{name}.tif")
-        _write_image_raster(written[-1], bands, tags)
+    written = [out / f"{name}.tif" for name in layers]
+    for path, bands in zip(written, layers.values(), strict=True):
+        _write_image_raster(path, bands, tags)
     if traced.geometry is not None:
         written.append(out / "seen.tif")
         geometry = traced.geometry.translated(frame.x_origin, frame.y_origin, crs=frame.crs)

@@ -18,6 +18,7 @@ from typer.main import get_command
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.cli.output import command_group
+from ltm_ros.runtime.process_memory import keep_freed_memory
 
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else it searches all installed packages at each start
 
@@ -45,19 +46,16 @@ def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> 
     try:
         cli()
     except LtmError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(f"{program}: {error}")
     except OSError as error:
         if error.errno not in _PLACE_ERRORS:
             raise
-        print(f"{program}: {error.filename or 'a file'}: {error.strerror}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(f"{program}: {error.filename or 'a file'}: {error.strerror}")
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing not in extras:
             raise
-        print(f"{program}: needs {error.name}: pip install '{extras[missing]}', or see `ltm doctor`", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(f"{program}: needs {error.name}: pip install '{extras[missing]}', or see `ltm doctor`")
     finally:
         gc.freeze()  # else Python searches all objects for cycles when it ends: 0.2 s with those of numba
 
@@ -254,10 +252,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-_LASTING = ("record", "region", "run", "view")
-"""Commands that run until they are stopped."""
-
-
 @cli.callback()
 def _options(
     context: typer.Context,
@@ -266,9 +260,7 @@ def _options(
     ] = False,
 ) -> None:
     """Live terrain and fuel maps from fire-watch cameras."""
-    if context.invoked_subcommand not in _LASTING:
-        from ltm_ros.runtime.process_memory import keep_freed_memory
-
+    if context.invoked_subcommand not in ("record", "region", "run", "view"):  # these run until they are stopped
         keep_freed_memory()
 
 

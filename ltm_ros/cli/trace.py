@@ -42,17 +42,12 @@ def trace(
         counts = cell_counts(traced)
         written = write_trace(out, traced, setup.frame, counts)
         title = f"seen in {image.name if image else pose.stem}"
-        pictures = {
-            "depth.png": depth_picture(traced, setup.dem, photo),
-            "map.png": map_picture(traced, setup.dem, counts, title, setup.frame),
-        }
-        for name, picture in pictures.items():
-            written.append(out / name)
-            written[-1].write_bytes(to_png(picture))
+        written += [out / "depth.png", out / "map.png"]
+        written[-2].write_bytes(to_png(depth_picture(traced, setup.dem, photo)))
+        written[-1].write_bytes(to_png(map_picture(traced, setup.dem, counts, title, setup.frame)))
 
     ranges = traced.range
     known = ranges[np.isfinite(ranges)]
-    cell_area = setup.dem.geometry.resolution**2
     title = f"{setup.camera.width} x {setup.camera.height} pixels over {', '.join(path.name for path in dem)}"
     x, y, z = setup.pose.position
     clearance = float(z - setup.dem.elevation_at(x, y))
@@ -64,7 +59,7 @@ def trace(
         near, median, far = np.percentile(known, [0, 50, 100])
         rows.append(("range: minimum, median, maximum", f"{near:,.0f} m, {median:,.0f} m, {far:,.0f} m"))
     seen = int((counts > 0).sum())
-    rows.append(("DEM cells seen", f"{seen:,} ({seen * cell_area / 1e6:,.2f} km²)"))
+    rows.append(("DEM cells seen", f"{seen:,} ({seen * setup.dem.geometry.resolution**2 / 1e6:,.2f} km²)"))
     print_table(title, ("", ""), rows)
     if known.size and (unknown := mostly_unknown(ranges)):
         warn(f"{unknown}.")

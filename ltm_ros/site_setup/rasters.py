@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from pyproj import CRS, Transformer
-from scipy.ndimage import map_coordinates
 
 from ltm_core.base.errors import RasterError
 from ltm_core.base.types import Float32Array, Float64Array
@@ -255,7 +255,7 @@ def _places(
             remarks.append(f"{tile.path}: {error}")
     nodes = [*way.transform(x, y), lift]
     return lambda row, col: np.stack(
-        [map_coordinates(values, np.stack([row / high, col / wide]), order=1, mode="nearest") for values in nodes]
+        [scipy.ndimage.map_coordinates(v, np.stack([row / high, col / wide]), order=1, mode="nearest") for v in nodes]
     )
 
 
@@ -269,7 +269,7 @@ def _bilinear(values: Float32Array, row: Float64Array, col: Float64Array, strict
         return np.full(row.shape, np.nan)
     finite = np.isfinite(part)
     total, known = (
-        map_coordinates(cells, where - first[:, None], np.float64, order=1, mode="grid-constant")
+        scipy.ndimage.map_coordinates(cells, where - first[:, None], np.float64, order=1, mode="grid-constant")
         for cells in (np.where(finite, part, 0.0), finite.astype(np.float64))
     )
     with np.errstate(invalid="ignore", divide="ignore"):

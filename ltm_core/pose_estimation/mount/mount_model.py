@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ltm_core.base.types import Float64Array
-from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt, matrix_of_vector
+from ltm_core.geometry.pose import Pose, matrix_of_angles, matrix_of_vector
 from ltm_core.pose_estimation.skyline.pose_prior import angle_slopes, turned
 
 _UNKNOWN = 1.0  # variance in rad^2 above which a direction is unknown
@@ -73,7 +73,7 @@ class MountModel:
     def rotation(self, pan_deg: float, tilt_deg: float) -> Float64Array:
         """Return (3, 3), optical to map."""
         pan, tilt = ptz_angles(pan_deg, tilt_deg, self.pan_sign, self.tilt_sign)
-        return np.asarray(self.base.rotation @ matrix_of_pan_tilt(pan, tilt + self.tilt_zero), np.float64)
+        return np.asarray(self.base.rotation @ matrix_of_angles("YX", (pan, tilt + self.tilt_zero)), np.float64)
 
     def pose(
         self, pan_deg: float, tilt_deg: float, moved_deg: tuple[float, float] = (0.0, 0.0)

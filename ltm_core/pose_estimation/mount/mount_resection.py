@@ -9,12 +9,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+import scipy  # loads its parts when they are first used
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
-from ltm_core.geometry.pose import Pose, matrix_of_pan_tilt
+from ltm_core.geometry.pose import Pose, matrix_of_angles
 from ltm_core.geometry.zoom_lens import ZoomLens
 from ltm_core.pose_estimation.lens import LensPrior
 from ltm_core.pose_estimation.mount.mount_model import MountModel, Sign, ptz_angles
@@ -207,7 +206,7 @@ class _Adjustment:
         zooms, presets = len(self._zooms), len(self._presets)
         told = np.radians(self._presets[:, :2]) * (model.pan_sign, model.tilt_sign) + (0.0, model.tilt_zero)
         angles = told + whole[7 + 2 * zooms :].reshape(presets, 2)
-        rotations = model.base.rotation @ Rotation.from_euler("YX", angles).as_matrix()
+        rotations = model.base.rotation @ matrix_of_angles("YX", angles)
         sights = line_of_sight_vectors(model.base.position, self._points.places, self._bend)
         seen = np.einsum("ni,nij->nj", sights, rotations[self._preset_of])
         residuals = np.empty((len(sights), 2))
@@ -238,7 +237,7 @@ class _Adjustment:
         self, state: Float64Array, used: BoolArray, loss: str, sigma_px: float
     ) -> tuple[Float64Array, Float64Array]:
         """Return the state of least cost, and the slopes of the rows there."""
-        solved = least_squares(
+        solved = scipy.optimize.least_squares(
             lambda x: self._rows(x, used, sigma_px), state, jac="2-point", x_scale="jac", loss=loss, max_nfev=60
         )
         return solved.x, solved.jac
@@ -258,7 +257,7 @@ def closed_forms(points: PtzPoints, start: MountModel, lens: ZoomLens, bend: flo
     either: Signs = (1, -1)
     found = {}
     for pan, tilt in sorted(itertools.product(either, either), key=lambda s: s != (start.pan_sign, start.tilt_sign)):
-        turns = np.array([matrix_of_pan_tilt(*ptz_angles(p, t, pan, tilt)) for p, t, _ in points.readings])
+        turns = matrix_of_angles("YX", [ptz_angles(p, t, pan, tilt) for p, t, _ in points.readings])
         best = _best_rotation(np.einsum("nij,nj->ni", turns, rays), sights, start)
         if best is not None:
             base = Pose(start.base.position, best)
@@ -279,10 +278,10 @@ def _best_rotation(in_ptz: Float64Array, sights: Float64Array, start: MountModel
     for two in pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).astype(int)]:
         if np.linalg.norm(np.cross(sights[two[0]], sights[two[1]])) < 0.01:
             continue
-        rotation = Rotation.align_vectors(sights[two], in_ptz[two])[0].as_matrix()
+        rotation = scipy.spatial.transform.Rotation.align_vectors(sights[two], in_ptz[two])[0].as_matrix()
         near = off(rotation) <= max(2 * float(np.median(off(rotation))), math.radians(0.5))
         if near.sum() >= _REACHED:
-            rotation = Rotation.align_vectors(sights[near], in_ptz[near])[0].as_matrix()
+            rotation = scipy.spatial.transform.Rotation.align_vectors(sights[near], in_ptz[near])[0].as_matrix()
         median = float(np.median(off(rotation)))
         lean = math.acos(float(np.clip(rotation[:, 1] @ start.base.rotation[:, 1], -1, 1)))
         if lean <= STEEPEST_LEAN and (best is None or median < best[0]):

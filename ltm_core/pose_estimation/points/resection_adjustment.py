@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy  # loads its parts when they are first used
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import BoolArray, Float64Array
@@ -147,7 +147,7 @@ class Adjustment:
             return rows
 
         x0 = np.zeros(3 + size_of(free))
-        solved = least_squares(errors, x0, jac="3-point", x_scale="jac", loss=loss, max_nfev=100)
+        solved = scipy.optimize.least_squares(errors, x0, jac="3-point", x_scale="jac", loss=loss, max_nfev=100)
         camera, pose = applied(solved.x, start.camera, start.pose, free)
         return Fit(camera, pose, self._residuals(camera, pose), used, sigma_px, _inverse(solved.jac))
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy  # loads its parts when they are first used
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
@@ -217,7 +217,8 @@ def ridge_system(
         return normal, gradient
     rows = rows.only(kept)
     root = np.linalg.cholesky(shared_covariance(rows, fits[kept]))
-    whitened = solve_triangular(root, np.column_stack([rows.slopes, rows.error]), lower=True, check_finite=False)
+    columns = np.column_stack([rows.slopes, rows.error])
+    whitened = scipy.linalg.solve_triangular(root, columns, lower=True, check_finite=False)
     slopes, error = whitened[:, :7], whitened[:, 7]
     return normal + slopes.T @ slopes, slopes.T @ error
 

@@ -4,11 +4,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose, pose_covariance
+from ltm_core.geometry.pose import Pose, matrix_of_angles, pose_covariance
 from ltm_core.pose_estimation.skyline.contour_scores import (
     MOST_POINTS,
     RIDGE_WEIGHT,
@@ -105,8 +104,7 @@ def search_ridges(problem: PoseProblem) -> list[Hypothesis]:
 
 def _rotations(angles_deg: Float64Array) -> Float64Array:
     """Return (P, 3, 3), optical to map, of azimuth, pitch and roll (P, 3), as `Pose.from_angles` has them."""
-    turned = Rotation.from_euler("ZXZ", angles_deg * (-1.0, 1.0, 1.0) - (0.0, 90.0, 0.0), degrees=True)
-    return np.asarray(turned.as_matrix(), np.float64)
+    return matrix_of_angles("ZXZ", angles_deg * (-1.0, 1.0, 1.0) - (0.0, 90.0, 0.0), degrees=True)
 
 
 def _steps(reach: float, step: float) -> Float64Array:

@@ -9,14 +9,13 @@ from typing import Any
 from xml.etree import ElementTree  # nosec B405 # documents with a DTD are rejected before they are parsed
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.base.errors import PoseError
 from ltm_core.base.types import Float64Array
 from ltm_core.cameras import foreign_camera as foreign
 from ltm_core.cameras.foreign_camera import ForeignPose, closest_camera, omega_phi_kappa
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import Pose
+from ltm_core.geometry.pose import Pose, matrix_of_angles, matrix_of_quaternion, matrix_of_vector
 from ltm_core.storage.config_io import read_text
 
 LARGEST = 256 << 20
@@ -29,7 +28,7 @@ def read_transform(path: Path) -> Similarity:
     """Return the similarity of a file: scale, quaternion w x y z, shift (COLMAP), or a matrix. Raises PoseError."""
     values = np.array(_numbers_of(read_text(path, 1 << 16, PoseError)))
     if len(values) == 8:
-        return float(values[0]), Rotation.from_quat(values[[2, 3, 4, 1]]).as_matrix(), values[5:]
+        return float(values[0]), matrix_of_quaternion(values[[2, 3, 4, 1]]), values[5:]
     if len(values) in (12, 16):
         matrix = values[:12].reshape(3, 4)
         scale = float(np.cbrt(np.linalg.det(matrix[:, :3])))
@@ -127,7 +126,7 @@ def _colmap_poses(path: Path, text: str, transform: Similarity | None) -> list[F
     rows = "\n".join(line for line in text.splitlines() if not line.startswith("#")).rstrip().split("\n")
     for line in rows[::2] if rows[0] else ():
         _, w, x, y, z, tx, ty, tz, camera, name = line.split(maxsplit=9)
-        turn = Rotation.from_quat([float(v) for v in (x, y, z, w)]).as_matrix()
+        turn = matrix_of_quaternion([float(v) for v in (x, y, z, w)])
         position, rotation = -turn.T @ [float(v) for v in (tx, ty, tz)], turn.T
         if transform is not None:
             scale, about, shift = transform
@@ -151,7 +150,7 @@ def _opensfm_poses(path: Path, text: str) -> list[ForeignPose]:
     for part in parts:
         cameras = {key: _opensfm_camera(value, f"{path}: camera {key}") for key, value in part["cameras"].items()}
         for name, shot in part["shots"].items():
-            turn = Rotation.from_rotvec(shot["rotation"]).as_matrix()
+            turn = matrix_of_vector(shot["rotation"])
             position = foreign.earth_centred(lla, -turn.T @ np.array(shot["translation"], np.float64))
             rotation = foreign.east_north_up(lla[1], lla[0]).T @ turn.T
             place = f"{path}: shot {name}"
@@ -241,9 +240,9 @@ def _alproj_pose(name: str, p: dict[str, Any], place: str) -> ForeignPose:
 
         camera = closest_camera(start, project, place)
     pan, tilt, roll = (math.radians(float(p[key])) for key in ("pan", "tilt", "roll"))
-    turn = Rotation.from_euler("XYZ", [-(tilt + math.pi / 2), -roll, pan])
+    turn = matrix_of_angles("XYZ", [-(tilt + math.pi / 2), -roll, pan])
     position = np.array([float(p[key]) for key in "xyz"])
-    return ForeignPose(name, place, position, (foreign.UPWARD @ turn.as_matrix()).T, camera)
+    return ForeignPose(name, place, position, (foreign.UPWARD @ turn).T, camera)
 
 
 def _imgraft(path: Path, text: str) -> list[ForeignPose]:
@@ -253,7 +252,7 @@ def _imgraft(path: Path, text: str) -> list[ForeignPose]:
     start = Camera(int(v[4]), int(v[3]), fx, fy, cx - 1, cy - 1)
 
     def turned(a: Float64Array) -> Float64Array:
-        return np.asarray(Rotation.from_euler("ZYX", a).as_matrix()[:, [1, 2, 0]] * [-1, -1, 1], np.float64)
+        return np.asarray(matrix_of_angles("ZYX", a)[:, [1, 2, 0]] * [-1, -1, 1], np.float64)
 
     def project(rays: Float64Array) -> Float64Array:
         x, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]
@@ -298,7 +297,7 @@ def _pic2map(path: Path, text: str, size: tuple[int, int] | None) -> list[Foreig
     x, y, z, f = (values[key] for key in ("x", "y", "z", "focal"))
 
     def turned(a: Float64Array) -> Float64Array:
-        return np.asarray(Rotation.from_euler("ZXZ", np.add(a, [0.0, math.pi, 0.0])).as_matrix(), np.float64)
+        return matrix_of_angles("ZXZ", np.add(a, [0.0, math.pi, 0.0]))
 
     angles = np.array([values[key] for key in ("heading", "tilt", "swing")])
     lens = Camera(width, height, f, f, width / 2 - 0.5, height / 2 - 0.5)
