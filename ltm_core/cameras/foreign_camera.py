@@ -143,8 +143,7 @@ def closest_camera(start: Camera, project: Callable[[Float64Array], Float64Array
         return np.nan_to_num(camera(p).project(rays[inside]) - pixels[inside], nan=start.width).ravel()
 
     first = np.array([start.fx, start.fy, start.cx, start.cy, *start.distortion])
-    scale = np.array([*first[:2], *first[:2], 0.1, 0.1, 0.01, 0.01, 0.1])
-    solved = scipy.optimize.least_squares(errors, first, x_scale=scale)
+    solved = scipy.optimize.least_squares(errors, first, x_scale=[*first[:2]] * 2 + [0.1, 0.1, 0.01, 0.01, 0.1])
     worst = float(np.hypot(*solved.fun.reshape(-1, 2).T).max())
     if worst > MOST_LENS_ERROR:
         what = f"{place}: its lens model differs by {worst:.1f} px from k1, k2, p1, p2, k3 (Brown-Conrady)"
