@@ -10,11 +10,10 @@ from dataclasses import replace
 from enum import Enum
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltm_core.base.types import Float64Array
 from ltm_core.geometry.camera import Camera
-from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose
+from ltm_core.geometry.pose import UNKNOWN_AZIMUTH_SIGMA_DEG, Pose, matrix_of_vector, vector_of_matrix
 from ltm_core.pose_estimation.mount.mount_config import PoseRefinementConfig
 from ltm_core.pose_estimation.mount.mount_fit import fit_ptz_mount
 from ltm_core.pose_estimation.mount.mount_model import PoseCorrection
@@ -111,8 +110,7 @@ class MountWatch:
         if fit.word == "accepted":
             rotation, tilt_zero = fit.rotation, fit.tilt_zero
             if self.state is MountState.SLIPPED:  # its poses were those of the former correction
-                both = Rotation.from_rotvec(fit.rotation) * Rotation.from_rotvec(before.rotation)
-                rotation = np.asarray(both.as_rotvec(), np.float64)
+                rotation = vector_of_matrix(matrix_of_vector(fit.rotation) @ matrix_of_vector(before.rotation))
                 tilt_zero += before.tilt_zero
             angles = np.asarray(fit.covariance[3:6, 3:6], np.float64)
             found = PoseCorrection(rotation, angles, tilt_zero, fit.covariance[6, 3:7])
