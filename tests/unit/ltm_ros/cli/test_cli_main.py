@@ -86,6 +86,19 @@ def test_help_is_quick_because_it_imports_nothing_heavy() -> None:
     assert result.stdout.strip() == "[]"
 
 
+def test_help_of_each_command_loads_no_part_of_scipy() -> None:
+    code = """
+import sys
+from ltm_ros.cli.main import Commands
+commands = Commands()
+for name in commands:
+    commands[name]
+print([name for name in ("scipy.linalg", "scipy.optimize", "scipy.special") if name in sys.modules])
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
 def test_bad_input_is_a_message_not_a_traceback(tmp_path: Path) -> None:
     """The one test with a process of its own: what follows goes by the runner of the command line's library."""
     result = ltm("export", "absent.tif", "--out", "o.tif", folder=tmp_path)
