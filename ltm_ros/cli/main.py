@@ -19,7 +19,6 @@ from typer.main import get_command
 
 from ltm_core.base.errors import LtmError
 from ltm_ros.cli.output import command_group
-from ltm_ros.runtime.process_memory import keep_freed_memory
 
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # else it searches all installed packages at each start
 
@@ -257,14 +256,11 @@ def _print_version(wanted: bool) -> None:
 
 @cli.callback()
 def _options(
-    context: typer.Context,
     version: Annotated[  # the callback prints it
         bool, Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Live terrain and fuel maps from fire-watch cameras."""
-    if context.invoked_subcommand not in ("record", "region", "run", "view"):  # these run until they are stopped
-        keep_freed_memory()
 
 
 EXTRAS = {

@@ -1,4 +1,4 @@
-"""Keep the memory of a long-running process constant, and that of a short one at hand. Only the standard library."""
+"""Keep the memory of a long-running process constant. Uses only the standard library."""
 
 import ctypes
 import gc
@@ -13,6 +13,8 @@ TIDY_EVERY_S = 60.0
 MAPPED_FROM = 128 << 10
 """Bytes from which a block is mapped separately: glibc's initial value."""
 
+_M_MMAP_THRESHOLD = -3
+_M_ARENA_MAX = -8
 _PR_SET_THP_DISABLE = 41
 
 
@@ -22,9 +24,12 @@ def steady_allocation() -> None:
     glibc's malloc gives each thread its own heap, and messages that one thread allocates and another frees fragment all
     of them. NumPy requests huge pages (2 MB) for arrays of 4 MB, which the kernel also applies to their remains; they
     saved no processor time (`ltm-lab bench graph`). The user's settings and other C libraries are left unchanged."""
-    _tune(-8, "MALLOC_ARENA_MAX", ARENAS)
+    libc = _libc()
+    chosen = os.environ.get("MALLOC_ARENA_MAX") or "malloc.arena_max" in os.environ.get("GLIBC_TUNABLES", "")
+    if not chosen and (mallopt := getattr(libc, "mallopt", None)) is not None:
+        mallopt(_M_ARENA_MAX, ARENAS)
     if not os.environ.get("NUMPY_MADVISE_HUGEPAGE"):
-        _libc().prctl(_PR_SET_THP_DISABLE, *(ctypes.c_ulong(number) for number in (1, 0, 0, 0)))
+        libc.prctl(_PR_SET_THP_DISABLE, *(ctypes.c_ulong(number) for number in (1, 0, 0, 0)))
 
 
 def map_large_blocks() -> None:
@@ -34,24 +39,10 @@ def map_large_blocks() -> None:
     glibc raises the threshold to the largest block ever freed, up to 32 MB. Messages then go to the heap, whose pages
     small blocks keep. Mapping costs a page fault per 4 kB: too much for processes that create arrays for each frame.
     The user's settings and other C libraries are left unchanged."""
-    _tune(-3, "MALLOC_MMAP_THRESHOLD_", MAPPED_FROM)
-
-
-def keep_freed_memory() -> None:
-    """Reuse freed blocks, large ones too, instead of returning them; for a process that ends soon.
-
-    A returned block costs a page fault per 4 kB when it is needed again: up to two thirds of the processor time of
-    NumPy's operations on arrays of 128 kB or more. The user's settings and other C libraries are left unchanged."""
-    _tune(-3, "MALLOC_MMAP_THRESHOLD_", 32 << 20)  # glibc's maximum
-    _tune(-1, "MALLOC_TRIM_THRESHOLD_", 256 << 20)
-
-
-def _tune(number: int, variable: str, value: int) -> None:
-    """Set an option of malloc, by its number in glibc's malloc.h, unless the user has set its `variable`."""
-    tunable = variable.replace("MALLOC_", "malloc.").rstrip("_").lower()
-    chosen = os.environ.get(variable) or tunable in os.environ.get("GLIBC_TUNABLES", "")
-    if not chosen and (mallopt := getattr(_libc(), "mallopt", None)) is not None:
-        mallopt(number, value)
+    tuned = "malloc.mmap_threshold" in os.environ.get("GLIBC_TUNABLES", "")
+    mallopt = getattr(_libc(), "mallopt", None)
+    if mallopt is not None and not tuned and not os.environ.get("MALLOC_MMAP_THRESHOLD_"):
+        mallopt(_M_MMAP_THRESHOLD, MAPPED_FROM)
 
 
 def settle() -> None:

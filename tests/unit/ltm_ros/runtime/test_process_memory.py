@@ -90,24 +90,6 @@ print((resident() - before) / (400 * MAPPED_FROM))
 """
 
 
-_REUSING = """
-import ctypes, resource, sys
-from ltm_ros.runtime.process_memory import keep_freed_memory
-if "keep" in sys.argv:
-    keep_freed_memory()
-libc = ctypes.CDLL(None)
-libc.malloc.restype = ctypes.c_void_p
-begun = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-for _ in range(100):
-    blocks = [ctypes.c_void_p(libc.malloc(400_000)) for _ in range(10)]
-    for block in blocks:
-        ctypes.memset(block, 1, 400_000)
-    for block in reversed(blocks):
-        libc.free(block)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - begun)
-"""
-
-
 def _run(program: str, folder: Path | None = None, *arguments: str, **environment: str) -> str:
     given = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_", "NUMPY_"))}
     python = [sys.executable, "-S", "-c", _AS_A_SHELL_WOULD]
@@ -149,9 +131,3 @@ def test_large_blocks_that_pass_through_leave_no_holes() -> None:
     assert float(_run(_PASSING)) > 0.8
     assert float(_run(_PASSING, None, "map")) < 0.1
     assert float(_run(_PASSING, None, "map", MALLOC_MMAP_THRESHOLD_=str(1 << 25))) > 0.8
-
-
-def test_a_command_reuses_freed_blocks_without_page_faults() -> None:
-    assert int(_run(_REUSING)) > 50_000
-    assert int(_run(_REUSING, None, "keep")) < 5_000
-    assert int(_run(_REUSING, None, "keep", MALLOC_TRIM_THRESHOLD_="131072")) > 50_000
