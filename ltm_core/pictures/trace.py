@@ -12,7 +12,7 @@ import numpy as np
 from ltm_core.base.number_text import percent
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, RgbImage, UInt32Array
 from ltm_core.fuel.life_form import NODATA
-from ltm_core.geometry.camera import Camera, strips
+from ltm_core.geometry.camera import Camera
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.geometry.pose import Pose
@@ -21,7 +21,7 @@ from ltm_core.pictures import MapCamera, RangeScale, overlay_depth, range_legend
 from ltm_core.pictures.fuel_maps import FuelCanvas
 from ltm_core.pictures.legend import UNKNOWN_COLOR, UNLABELLED, Palette, draw_texts
 from ltm_core.pictures.maps import interesting_bounds, padded
-from ltm_core.pictures.photo_overlays import panel
+from ltm_core.pictures.photo_overlays import panel, where_known
 from ltm_core.pictures.relief import brightness_at
 from ltm_core.raster.dem import Dem
 from ltm_core.raster.raster_io import write_geotiff
@@ -123,9 +123,8 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -
 def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str, frame: SiteFrame) -> RgbImage:
     """Return the shaded relief with the cells that the photo sees, its camera and its field of view. `counts`: pixels
     per cell, of the DEM's shape. `frame`: of the DEM."""
-    horizontal = traced.horizontal()
-    known = horizontal[np.isfinite(horizontal)]
-    reach = float(known.max()) if known.size else 20 * dem.geometry.resolution
+    reach = float(np.max(traced.range, initial=-1.0, where=np.isfinite(traced.range)))
+    reach = reach if reach > 0 else 20 * dem.geometry.resolution
     x, y, _ = (float(v) for v in traced.pose.position)
     camera = MapCamera("camera", traced.camera, (x, y), traced.pose.angles_deg[0], reach)
     about = f"{title}; {percent((counts > 0).mean())} of the DEM; {frame.crs}"
@@ -136,15 +135,17 @@ def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str, f
 
 def shaded_view(traced: RangeImage, dem: Dem) -> RgbImage:
     """Return the traced terrain (H, W, 3) as a camera would see it, grey under the relief's lights and a plain sky."""
-    fade = np.linspace(0, 1, len(traced.range))[:, None, None]
+    known = np.isfinite(traced.range)
+    some = known[::2, ::2]  # every second pixel shows no less, for a quarter of the time
+    light = np.full(some.shape, 0.7)
+    light[some] = np.nan_to_num(brightness_at(dem, *traced.points()[::2, ::2, :2][some].T), nan=0.7)
+    grey = np.clip(35 + 250 * light, 0, 255).astype(np.uint8)
+    grey = np.asarray(cv2.resize(grey, known.shape[::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
+    fade = np.linspace(0, 1, len(known))[:, None, None]
     sky = ((1 - fade) * np.array(_SKY_TOP) + fade * np.array(_SKY_HORIZON)).astype(np.uint8)
-    picture = np.repeat(sky, traced.range.shape[1], axis=1)
+    picture = np.repeat(sky, known.shape[1], axis=1)
     picture[np.isnan(traced.range)] = UNKNOWN_COLOR
-    for rows in strips(len(picture)):
-        known = np.isfinite(traced.range[rows])
-        light = brightness_at(dem, *(traced.points()[rows, :, k][known] for k in (0, 1)))
-        picture[rows][known] = np.clip(35 + 250 * np.nan_to_num(light, nan=0.7), 0, 255)[:, None]
-    return picture
+    return where_known(known, cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), picture)
 
 
 def draw_skyline(picture: RgbImage, ranges: Float32Array) -> RgbImage:

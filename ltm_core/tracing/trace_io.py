@@ -16,7 +16,7 @@ from ltm_core.base.strict_model import StrictModel
 from ltm_core.base.types import UInt8Array, UInt32Array
 from ltm_core.cameras.camera_config import CalibrationConfig, PlacedPose, PoseConfig
 from ltm_core.cameras.plausibility import doubt_of_height, doubt_of_radians
-from ltm_core.geometry.camera import Camera
+from ltm_core.geometry.camera import Camera, strips
 from ltm_core.geometry.geodesy import SiteFrame
 from ltm_core.geometry.pose import Pose
 from ltm_core.geometry.range_image import RangeImage
@@ -112,11 +112,13 @@ def cell_counts(traced: RangeImage) -> UInt32Array:
     """Return the number of pixels that see each DEM cell, (H, W) of the raster."""
     if traced.geometry is None:
         raise ImageError("this range image has no raster, so it has no cells")
-    cells = traced.cells()
-    row, col = cells[..., 0].astype(np.int64), cells[..., 1]
     counts = np.zeros(traced.geometry.shape, np.uint32)
-    # Not by bincount: over a large raster that takes twice the DEM's own memory.
-    np.add.at(counts.reshape(-1), (row * traced.geometry.width + col)[row >= 0], np.uint32(1))
+    for rows in strips(len(traced.range)):
+        x, y, _ = traced.points()[rows][np.isfinite(traced.range[rows])].T
+        row, col = traced.geometry.cell_of(x, y)
+        inside = traced.geometry.contains(row, col)
+        # Not by bincount: over a large raster that takes twice the DEM's own memory.
+        np.add.at(counts.reshape(-1), (row * counts.shape[1] + col)[inside], np.uint32(1))
     return counts
 
 

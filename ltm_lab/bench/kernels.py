@@ -22,26 +22,30 @@ POSE = """pose: {x: 348000, y: 3785000, crs: "EPSG:32611", height_above_ground: 
 calibration: {width: 1920, height: 1080, hfov_deg: 60}
 """
 _TRACE = """
-import time
-from ltm_core.base.kernels import _KernelCache
-from ltm_core.tracing.tracer import TerrainTracer
-from ltm_ros.cli.main import app
-trace, load, spent, loading = TerrainTracer.trace, _KernelCache.load_overload, 0.0, 0.0
-def timed(*given):
-    global spent, loading
-    begun, loading = time.process_time(), 0.0
-    traced = trace(*given)
-    spent += time.process_time() - begun - loading
-    return traced
-def timed_loading(*given):
-    global loading
-    begun = time.process_time()
-    loaded = load(*given)
-    loading += time.process_time() - begun
-    return loaded
-TerrainTracer.trace, _KernelCache.load_overload = timed, timed_loading
+import sys, time
+from ltm_ros.cli.main import cli, run_command_line
+sys.modules["coverage"] = None  # numba loads it where it is installed: beside tests, not on a tower
+spent = loading = 0.0
+def measured():
+    from ltm_core.base.kernels import _KernelCache
+    from ltm_core.tracing.tracer import TerrainTracer
+    trace, load = TerrainTracer.trace, _KernelCache.load_overload
+    def timed(*given):
+        global spent, loading
+        begun, loading = time.process_time(), 0.0
+        traced = trace(*given)
+        spent += time.process_time() - begun - loading
+        return traced
+    def timed_loading(*given):
+        global loading
+        begun = time.process_time()
+        loaded = load(*given)
+        loading += time.process_time() - begun
+        return loaded
+    TerrainTracer.trace, _KernelCache.load_overload = timed, timed_loading
+    cli()
 try:
-    app()
+    run_command_line(measured, "ltm", {})
 finally:
     print(spent)
 """

@@ -42,6 +42,8 @@ _PLACE_ERRORS = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EACCES, errno.
 def run_command_line(cli: typer.Typer, program: str, extras: dict[str, str]) -> None:
     """Run `cli` as `program`. `extras`: what to install for each optional Python package."""
     atexit.register(gc.freeze)  # else Python searches all objects for cycles when it ends: 0.2 s with numba's
+    # Else NumPy's threads wait for work in a loop: a tenth of a second of processor time when NumPy is loaded.
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     if not sys.stdout.isatty():
         os.environ.setdefault("COLUMNS", "120")  # wide enough that tables in a log lose no figures
     try:
