@@ -15,6 +15,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ltm_core.base.kernels import helper, in_parallel, kernel
 from ltm_core.base.types import BoolArray, Float32Array, Float64Array, Int32Array, Int64Array
@@ -22,7 +23,7 @@ from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
 from ltm_core.tracing.pyramid_traversal import AFTER, RasterStage, TerrainRaster
 
-WEDGES_A_FACE = 3072
+WEDGES_A_FACE = 2048
 SECTOR = 64
 """Number of wedges that are built together."""
 _MOST_ENTRIES = 4096
@@ -68,28 +69,28 @@ def extended(wedges: Wedges, wanted: Int64Array, ground: TerrainRaster, stage: R
     missing = wanted[wedges.entries[wanted] < 0]
     if missing.size == 0:
         return wedges
-    # Only what is written of the wide scratch ever takes memory.
-    tangent = np.empty((missing.size, _MOST_ENTRIES), np.float32)
-    node = np.empty((missing.size, _MOST_ENTRIES), np.int32)
     count, start = wedges.entries.copy(), wedges.start.copy()
     found = np.empty(missing.size, np.int32)
+    parts: dict[int, list[NDArray[Any]]] = {}
 
     def walk(first: int, last: int) -> None:
-        part = slice(first, last)
-        _walk_wedges(ground, stage, missing[part], tangent[part], node[part], found[part])
+        tangent = np.empty((SECTOR, _MOST_ENTRIES), np.float32)
+        node = np.empty((SECTOR, _MOST_ENTRIES), np.int32)
+        for begin in range(first, last, SECTOR):
+            part = slice(begin, min(begin + SECTOR, last))
+            _walk_wedges(ground, stage, missing[part], tangent, node, found[part])
+            numbers = found[part].tolist()
+            parts[begin] = [np.concatenate([of[k, :n] for k, n in enumerate(numbers)]) for of in (tangent, node)]
 
     in_parallel(walk, missing.size, _FEWEST)
-    begin = wedges.tangent.size + np.concatenate([[0], np.cumsum(found, dtype=np.int64)])
-    count[missing], start[missing] = found, begin[:-1]
-    tangents = np.empty(begin[-1], np.float32)
-    nodes = np.empty(begin[-1], np.int32)
-    tangents[: wedges.tangent.size], nodes[: wedges.node.size] = wedges.tangent, wedges.node
-    for k, n in enumerate(found.tolist()):
-        tangents[begin[k] : begin[k + 1]], nodes[begin[k] : begin[k + 1]] = tangent[k, :n], node[k, :n]
+    count[missing], start[missing] = found, wedges.tangent.size + np.cumsum(found, dtype=np.int64) - found
+    tangents = np.concatenate([wedges.tangent, *(parts[begin][0] for begin in sorted(parts))])
+    nodes = np.concatenate([wedges.node, *(parts[begin][1] for begin in sorted(parts))])
     highest = wedges.highest.copy()
     # A wedge that never comes over this stage's part has no entry.
     highest[missing] = -np.inf
-    highest[missing[found > 0]] = tangents[begin[1:][found > 0] - 1]
+    rising = missing[found > 0]
+    highest[rising] = tangents[start[rising] + count[rising] - 1]
     return Wedges(start, count, highest, tangents, nodes)
 
 
