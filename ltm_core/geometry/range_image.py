@@ -51,11 +51,18 @@ class RangeImage:
         return depth
 
     def horizontal(self) -> Float32Array:
-        """Return the horizontal distance from the camera, (H, W) metres: the paper's depth (Algorithm 1, line 9)."""
+        """Return the horizontal distance from the camera, (H, W) metres, read-only: the paper's depth (Algorithm 1,
+        line 9)."""
+        return self._horizontal
+
+    @cached_property
+    def _horizontal(self) -> Float32Array:
         up = self.camera.rays() @ self.pose.rotation[2]
         with np.errstate(invalid="ignore"):
             horizontal = (self.range * np.sqrt(np.maximum(0.0, 1.0 - up * up))).astype(np.float32)
-        return np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
+        found = np.where(np.isinf(self.range), np.float32(np.inf), horizontal)
+        found.flags.writeable = False
+        return found
 
     def points(self) -> Float32Array:
         """Return the map coordinates of what each pixel sees, (H, W, 3) metres, read-only; NaN where the range is not

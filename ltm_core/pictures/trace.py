@@ -123,8 +123,9 @@ def depth_picture(traced: RangeImage, dem: Dem, photo: RgbImage | None = None) -
 def map_picture(traced: RangeImage, dem: Dem, counts: UInt32Array, title: str, frame: SiteFrame) -> RgbImage:
     """Return the shaded relief with the cells that the photo sees, its camera and its field of view. `counts`: pixels
     per cell, of the DEM's shape. `frame`: of the DEM."""
-    reach = float(np.max(traced.range, initial=-1.0, where=np.isfinite(traced.range)))
-    reach = reach if reach > 0 else 20 * dem.geometry.resolution
+    horizontal = traced.horizontal()
+    known = horizontal[np.isfinite(horizontal)]
+    reach = float(known.max()) if known.size else 20 * dem.geometry.resolution
     x, y, _ = (float(v) for v in traced.pose.position)
     camera = MapCamera("camera", traced.camera, (x, y), traced.pose.angles_deg[0], reach)
     about = f"{title}; {percent((counts > 0).mean())} of the DEM; {frame.crs}"
