@@ -23,7 +23,7 @@ from ltm_core.tracing.holes import filled_at
 from ltm_core.tracing.pyramid import LEAF
 from ltm_core.tracing.pyramid_traversal import AFTER, RasterStage, TerrainRaster
 
-WEDGES_A_FACE = 2048
+WEDGES_A_FACE = 1024
 SECTOR = 64
 """Number of wedges that are built together."""
 _MOST_ENTRIES = 4096
