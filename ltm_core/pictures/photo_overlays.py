@@ -63,7 +63,7 @@ def overlay_labels(image: RgbImage, labels: UInt8Array, label_set: ClassPalette,
 
 
 def where_known(known: BoolArray, image: RgbImage, other: RgbImage) -> RgbImage:
-    """Return `image` where `known` (H, W), and `other` elsewhere; in a twentieth of the time of NumPy's `where`."""
+    """Return `image` where `known` (H, W), and `other` elsewhere. OpenCV copies pixels far faster than NumPy."""
     return np.asarray(cv2.copyTo(image, known.view(np.uint8), other.copy()), np.uint8)
 
 
