@@ -27,7 +27,7 @@ def matrix_of_quaternion(quaternion: ArrayLike) -> Float64Array:
 
 
 def matrix_of_angles(axes: str, angles: ArrayLike, degrees: bool = False) -> Float64Array:
-    """Return the matrices (..., 3, 3) of Euler angles (...), radians or degrees. `axes`: SciPy's, "XYZ" for Rx Ry Rz."""
+    """Return the matrices (..., 3, 3) of Euler angles (...), in radians or degrees. `axes`: "XYZ" for Rx Ry Rz."""
     return np.asarray(_rotations().from_euler(axes, angles, degrees).as_matrix(), np.float64)
 
 
