@@ -216,8 +216,9 @@ def fuel_sheet(canvas: FuelCanvas, layers: FuelLayers, palette: ClassPalette, he
     """Return the life forms and fuel models, and how sure and how widely seen they are, with their legends; of a map of
     which the last two are not known, as of an earlier date, the first two alone."""
     known, seen = np.isfinite(layers.p_max) & np.isfinite(layers.entropy), layers.seen_by > 0
+    paler = " Paler: less certain." if known.any() else ""
     maps = {
-        "Life form. Paler: less certain. Outlined: changed cells.": canvas.life_forms(layers, palette),
+        f"Life form.{paler} Outlined: changed cells.": canvas.life_forms(layers, palette),
         "Surface fuel model. Outlined: changed cells.": canvas.codes(layers.code, layers.changed),
     }
     if known.any() or seen.any():

@@ -263,11 +263,11 @@ class Dem:
         inside = (row >= 0) & (row <= height - 1) & (col >= 0) & (col <= width - 1)
         r0 = np.minimum(np.where(inside, row, 0).astype(np.int32), height - 2)
         c0 = np.minimum(np.where(inside, col, 0).astype(np.int32), width - 2)
-        fr, east = row - r0, col - c0
+        down, east = row - r0, col - c0
         z, at, west = self.elevation.reshape(-1), r0 * np.int64(width) + c0, 1 - east
         north = west * z.take(at) + east * z[1:].take(at)
         south = west * z[width:].take(at) + east * z[width + 1 :].take(at)
-        return np.where(inside, (1 - fr) * north + fr * south, np.nan)
+        return np.where(inside, (1 - down) * north + down * south, np.nan)
 
     def save(self, path: Path | str) -> None:
         """Write a deflated float32 GeoTIFF. Raises RasterError when the DEM is in no named CRS."""
