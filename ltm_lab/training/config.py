@@ -36,11 +36,12 @@ class NetworkConfig(StrictModel):
     fixed: int = Field(default=5, ge=0, le=16)  # blocks of the encoder, the first, that are never trained
     own_depth: bool = False  # depth reads a pyramid of its own
     side: bool = False  # coarser decoder maps add to the logits
+    scene: bool = False  # a network of everyday scenes adds to the logits
 
     def with_parts_of(self, weights: Iterable[str]) -> "NetworkConfig":
         """This form with the optional parts that weights of these names belong to, and no others."""
         names = list(weights)
-        parts = {"own_depth": "own.", "side": "side."}
+        parts = {"own_depth": "own.", "side": "side.", "scene": "scene."}
         return self.model_copy(
             update={part: any(name.startswith(prefix) for name in names) for part, prefix in parts.items()}
         )

@@ -10,6 +10,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from ltm_lab.training.config import NetworkConfig
 from ltm_lab.training.encoder import TAPS, Lite0Encoder, convolution
+from ltm_lab.training.scene_branch import SceneBranch
 
 SIDES: Final = ("s2", "s1")
 """Decoder maps of 1/4 and 1/8 of the photo's size that may add to the class logits."""
@@ -84,7 +85,7 @@ class LandscapeNetwork(Pyramid):
     from one at 6 m; its scale is free: photos of unknown focal length do not give it. With `config.own_depth` it reads
     a pyramid of its own, so that depth may be taught without a label that changes. The pyramid of the classes is the
     network's own parts, by whose names exported files hold their weights. With `config.side` the maps SIDES add to the
-    logits, too. The shipped networks have both parts.
+    logits, too; with `config.scene` so does a second, small network (`SceneBranch`).
     """
 
     def __init__(self, classes: int, config: NetworkConfig) -> None:
@@ -98,6 +99,7 @@ class LandscapeNetwork(Pyramid):
         )
         for side in () if self.side is None else self.side.values():
             nn.init.zeros_(side.weight)
+        self.scene = SceneBranch(classes) if config.scene else None
         self.own = Pyramid(wide) if config.own_depth else None
         self.depth = nn.Sequential(
             convolution(wide, wide, 3, groups=wide, relu=True), convolution(wide, narrow, relu=True)
@@ -105,18 +107,17 @@ class LandscapeNetwork(Pyramid):
         self.inverse = nn.Conv2d(narrow, 1, 1)
 
     def forward(self, photo: Tensor) -> tuple[Tensor, Tensor]:
-        return self.heads(self.encoder(photo))
+        return self.heads(self.encoder(photo), photo)
 
-    def heads(self, maps: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """Logits and log inverse depth from the encoder's maps."""
+    def heads(self, maps: list[Tensor], photo: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits and log inverse depth from the encoder's maps of a photo."""
         half, *rest = maps
         eighth, x = self.eighth_and_quarter(rest)
         y = x if self.own is None else self.own.quarter(rest)
         logits: Tensor = self.classes(self.last(x, half))
-        if self.side is not None:
-            for name, coarse in zip(SIDES, (x, eighth), strict=True):
-                said = self.side[name](coarse)
-                logits = logits + functional.interpolate(said, logits.shape[2:], mode="bilinear", align_corners=False)
+        more = [] if self.side is None else [self.side[name](m) for name, m in zip(SIDES, (x, eighth), strict=True)]
+        for scores in more if self.scene is None else [*more, self.scene(photo)]:
+            logits = logits + functional.interpolate(scores, logits.shape[2:], mode="bilinear", align_corners=False)
         return logits, self.inverse(self.depth(y))
 
 

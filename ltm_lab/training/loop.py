@@ -161,7 +161,7 @@ def train(
         photos = batch.photos.to(memory_format=torch.channels_last)
         with torch.set_grad_enabled(not frozen):
             maps = run.network.encoder(photos)
-        logits, log_inverse = run.network.heads(maps)
+        logits, log_inverse = run.network.heads(maps, photos)
         loss = total_loss(logits, log_inverse, batch, weights, settings)
         if run.before is not None:
             with torch.no_grad():

@@ -34,8 +34,8 @@ def photos(
 ) -> None:
     """Label the photos of CONFIG with teachers and write each to OUT/<set>/: picture, labels, order of depth.
 
-    Of a CSV such as landscape_photos.csv, write the areas that people drew (landscape_areas.json beside it) and what
-    they said of whole photos into the sets `areas_train` and `areas_validate`.
+    Of a CSV such as landscape_photos.csv, write the regions and areas that people labelled (landscape_labels.zip and
+    landscape_areas.json) and what they said of whole photos into the sets `areas_train` and `areas_validate`.
     """
     import cv2
     import numpy as np
@@ -88,9 +88,8 @@ def _write_areas(table: Path, images: Path, out: Path) -> None:
     import cv2
     import numpy as np
 
-    from ltm_core.label_heads.labelled_frames import UNKNOWN
     from ltm_core.vision.overlays import scene_of
-    from ltm_lab.evaluation.segmentation.area_score import listed_photos
+    from ltm_lab.evaluation.segmentation.area_score import listed_photos, regions
     from ltm_lab.training.training_frames import STATEMENT_SUFFIX
 
     for role in ("train", "validate"):
@@ -99,7 +98,7 @@ def _write_areas(table: Path, images: Path, out: Path) -> None:
             scale = min(1.0, _AREAS_WIDTH / image.shape[1])
             image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
             height, width = image.shape[:2]
-            labels = np.full((height, width), UNKNOWN, np.uint8)
+            labels = regions(table, photo.name, height, width)
             for index, (label, _) in enumerate(photo.areas):
                 labels[photo.drawn(index, height, width) > 0] = label
             _write(out / f"areas_{role}" / photo.name, image, labels)

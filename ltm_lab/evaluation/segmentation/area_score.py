@@ -1,19 +1,22 @@
 """Scores label networks on areas that a person named in photos of many places.
 
 `ltm_lab/config/training/landscape_photos.csv` lists the photos, `landscape_areas.json` their areas, in shares of the
-photo's sides. Class `land` is ground of unknown cover: of it only being called sky or water is counted."""
+photo's sides. Class `land` is ground of unknown cover: of it only being called sky or water is counted. Photos that
+teach have all of their regions labelled in `landscape_labels.zip` besides."""
 
 import csv
 import json
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from ltm_core.base.errors import RecordingError
 from ltm_core.base.types import Float64Array, UInt8Array
-from ltm_core.label_heads.labelled_frames import LAND
+from ltm_core.label_heads.labelled_frames import LAND, UNKNOWN
 from ltm_core.storage.image_io import read_rgb
 from ltm_core.vision.labels import UNLABELLED, Label
 from ltm_core.vision.masks import fill
@@ -48,6 +51,20 @@ class ListedPhoto:
         area = np.zeros((height, width), np.uint8)
         fill(area, [(u * (width - 1), v * (height - 1)) for u, v in self.areas[index][1]])
         return area
+
+
+def regions(table: Path, photo: str, height: int, width: int) -> UInt8Array:
+    """Return the labels (height, width) of a photo's regions in the file landscape_labels.zip beside the table; UNKNOWN
+    where there is none."""
+    none = np.full((height, width), UNKNOWN, np.uint8)
+    path, name = table.with_name("landscape_labels.zip"), f"{photo}.png"
+    if not path.is_file():
+        return none
+    with zipfile.ZipFile(path) as file:
+        if name not in file.namelist():
+            return none
+        drawn = cv2.imdecode(np.frombuffer(file.read(name), np.uint8), cv2.IMREAD_UNCHANGED)
+    return np.asarray(cv2.resize(drawn, (width, height), interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def listed_photos(role: str, table: Path = lab_config("training/landscape_photos.csv")) -> list[ListedPhoto]:
