@@ -111,21 +111,21 @@ def fit_softmax(
 
 
 def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
-    """Logistic regression over the cells of all sites; each form weighs the same. Raises ImageError where fewer than
-    two forms have cells enough."""
+    """Logistic regression over the cells of all sites; each site weighs the same, and so does each form. Raises
+    ImageError where fewer than two forms have cells enough."""
     cells = np.sum([np.bincount(site.true, minlength=FORMS) for site in sites], axis=0)
     known = np.flatnonzero(cells >= LEAST_CELLS)
     if len(known) < 2:
         raise ImageError(f"fewer than two life forms have {LEAST_CELLS} cells to learn from: {cells.tolist()}")
-    knots = np.array(INCIDENCE)
-    inputs = np.concatenate([at_incidence(site.seen, site.cosine, knots) for site in sites])
+    inputs = np.concatenate([at_incidence(site.seen, site.cosine, np.array(INCIDENCE)) for site in sites])
     true = np.concatenate([site.true for site in sites])
     used = np.isin(true, known)
+    weight = np.concatenate([np.full(len(site.true), 1 / max(len(site.true), 1)) for site in sites])[used]
     inputs, true = inputs[used], true[used]
-    is_form = (true[:, None] == known).astype(np.float64)
-    found = fit_softmax(inputs, is_form, len(true) / len(known) / cells[true], _RIDGE)
+    weight *= len(true) / len(known) / np.bincount(true, weight, FORMS)[true]
+    found = fit_softmax(inputs, (true[:, None] == known).astype(np.float64), weight, _RIDGE)
     names = [LifeForm(form + 1).name.lower() for form in known.tolist()]
-    weights = dict(zip(names, found.T.reshape(len(known), len(knots), SEEN).tolist(), strict=True))
+    weights = dict(zip(names, found.T.reshape(len(known), len(INCIDENCE), SEEN).tolist(), strict=True))
     return CellAppearanceModel(incidence=INCIDENCE, weights=weights)
 
 

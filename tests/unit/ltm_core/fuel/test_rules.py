@@ -31,7 +31,7 @@ def test_a_region_that_no_cell_is_sure_of_is_not_reported() -> None:
 def test_a_sure_region_supports_cells_so_far_and_not_farther() -> None:
     odds = np.zeros((7, 40))
     odds[3, 2:36] = 1.0
-    odds[2:5, 2:5] = RULES.support / 3
+    odds[2:5, 2:5] = RULES.support / 3 + 0.01
     ends = np.flatnonzero(reported(odds)[3])
     assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells)
 
