@@ -56,7 +56,7 @@ class FusionRules(StrictModel):
     """Seconds after which a frame of the same view is a new observation, because the light has changed."""
     max_sigma: float = Field(300.0, gt=0)
     """Maximum standard deviation of a cell's position in metres; cells with more get no evidence."""
-    posterior: float = Field(0.65, gt=0.5, lt=1)
+    posterior: float = Field(0.72, gt=0.5, lt=1)
     """Minimum probability that the new life form is the most common one in a cell before the cell changes."""
     odds: float = Field(2.0, ge=1)
     """Minimum likelihood ratio of the new life form to any other before a cell changes. A change of a single cell also

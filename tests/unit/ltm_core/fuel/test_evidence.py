@@ -100,8 +100,8 @@ def test_burned_labels_live_for_a_time() -> None:
 
 
 def test_cells_of_two_forms_keep_the_usual_one_until_another_is_sure() -> None:
-    assert fuel_map(votes(Label.SHRUB, pixels=1), posterior=0.8).layers().life_form[1, 0] == LifeForm.GRASS
-    sure = fuel_map(*(votes(Label.SHRUB, NOW + k * HOUR) for k in range(3)), posterior=0.8).layers()
+    assert fuel_map(votes(Label.SHRUB, pixels=1)).layers().life_form[1, 0] == LifeForm.GRASS
+    sure = fuel_map(*(votes(Label.SHRUB, NOW + k * HOUR) for k in range(3))).layers()
     assert (sure.life_form[1, 0], sure.code[1, 0], sure.changed[1, 0]) == (LifeForm.SHRUB, 121, False)
 
 
