@@ -43,7 +43,7 @@ EXAMPLE: dict[str, Any] = {
     "dem": {"path": "dem.tif"},
     "surface": {"path": "canopy_top.tif"},
     "fuel": {"prior": {"path": "landfire/", "barriers": [{"path": "roads.geojson", "kind": "road"}]}},
-    "depth_model": "landscape_v4_depth",
+    "depth_model": "landscape_v5_depth",
     "terrain": {},
     "locating": {},
     "refine_poses": {},

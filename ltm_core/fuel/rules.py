@@ -63,15 +63,15 @@ class FusionRules(StrictModel):
     needs `support`."""
     min_interval_s: float = Field(3600.0, ge=0)
     """Minimum seconds between the first and the last frame that show the new life form, unless two cameras show it."""
-    support: float = Field(16.0, ge=0)
+    support: float = Field(8.0, ge=0)
     """Minimum sum of log odds of the confident neighbouring cells for the same change before any of them is reported:
-    four cells of e^4 = 55 to 1 or eight of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
+    two cells of e^4 = 55 to 1 or four of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
     sure_odds: float = Field(7.4, ge=1)
     """Odds above which a cell is confident."""
     support_cells: int = Field(6, ge=0, le=16)
     """Distance in cells, to each side, within which confident cells support each other; with 30 m cells, a square of
     390 m."""
-    fill_cells: int = Field(5, ge=4, le=8)
+    fill_cells: int = Field(4, ge=4, le=8)
     """Minimum number of reported neighbours, of eight, for a cell to be reported with them, if its own observations
     favour that life form but are not conclusive. Three neighbours form a straight edge."""
     fill_evidence: float = Field(1.0, gt=0)

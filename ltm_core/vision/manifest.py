@@ -13,8 +13,8 @@ from ltm_core.storage.config_io import checked, load_yaml
 from ltm_core.storage.disk_io import is_file
 from ltm_core.vision.network_image import InputSpec
 
-DEFAULT_MODEL: Final = "landscape_v4"  # default segmentation network
-DEFAULT_DEPTH_MODEL: Final = "landscape_v4_depth"  # default depth network: the second output of the same file
+DEFAULT_MODEL: Final = "landscape_v5"  # default segmentation network
+DEFAULT_DEPTH_MODEL: Final = "landscape_v5_depth"  # default depth network: the second output of the same file
 MODEL_PATH_VARIABLE: Final = "LTM_MODEL_PATH"
 
 DepthKind = Literal["relative_inverse", "affine_invariant", "metric"]

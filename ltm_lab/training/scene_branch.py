@@ -135,11 +135,9 @@ class SceneBranch(nn.Module):  # type: ignore[misc]  # torch is not typed for us
 
     def convolutions(self) -> list[nn.Conv2d]:
         """Return the convolutions of MOSAIC in the order of its file."""
-        known = {id(module) for part in (self.odds, self.correction) for module in part.modules()}
         ordered: list[nn.Module] = [self.stem, *self.blocks, self.top, self.quarter, *self.around]
         ordered += [self.join, self.eighth, self.smooth, self.own]
-        found = [c for part in ordered for c in part.modules() if isinstance(c, nn.Conv2d) and id(c) not in known]
-        return found
+        return [conv for part in ordered for conv in part.modules() if isinstance(conv, nn.Conv2d)]
 
     def take(self, weights: list[tuple[Float32Array, Float32Array]], odds: Float32Array) -> None:
         """Start from MOSAIC's weights and biases in the order of its file, and the odds (classes, 32) of its outputs;

@@ -125,7 +125,7 @@ EXAMPLES = {
     "rollback": ("ltm rollback", "ltm rollback --to 0.1.0"),
     "region": ("ltm region region.yaml",),
     "certs": ("ltm certs certs/ --region valley --tower ridge --tower peak --host 10.8.0.1",),
-    "models": ("ltm models", "ltm models check landscape_v4 --images photos/ --out labels"),
+    "models": ("ltm models", "ltm models check landscape_v5 --images photos/ --out labels"),
 }
 """Examples in the help of each command; a group of commands shows the first ones of its commands."""
 

@@ -22,7 +22,7 @@ WHOLE = "run"
 
 
 class TrainGroup(TyperGroup):
-    """A group whose default command is `run`: `ltm-lab train ltm_lab/config/training/landscape_v4.yaml`."""
+    """A group whose default command is `run`: `ltm-lab train ltm_lab/config/training/landscape_v5.yaml`."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         if args and args[0] not in self.commands and args[0] not in ("--help", "-h"):
@@ -32,7 +32,7 @@ class TrainGroup(TyperGroup):
 
 def run(
     config: Annotated[
-        Path, typer.Argument(help="Training configuration, such as ltm_lab/config/training/landscape_v4.yaml.")
+        Path, typer.Argument(help="Training configuration, such as ltm_lab/config/training/landscape_v5.yaml.")
     ],
     frames: Annotated[
         Path | None, typer.Option(help="Folder of <set>/NAME.png with NAME_labels.png; overrides the config's.")

@@ -34,7 +34,7 @@ def test_paths_are_relative_to_the_site_file(tmp_path: Path, monkeypatch: pytest
     assert site.dem.path.resolve() == (tmp_path / "maps/dem.tif").resolve()
     assert site.model == str(tmp_path / "inner/own.yaml")
     assert load(tmp_path, dem={"path": "/abs/dem.tif"}).dem.path == Path("/abs/dem.tif")
-    assert load(tmp_path).model == "landscape_v4"
+    assert load(tmp_path).model == "landscape_v5"
     monkeypatch.chdir(tmp_path)
     assert load_site("site.yaml").dem.path == tmp_path / "dem.tif"
 

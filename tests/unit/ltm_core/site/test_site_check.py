@@ -49,7 +49,7 @@ def test_a_site_as_it_should_be(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "wrong"), [("model", "landscape_v4_depth"), ("depth_model", "landscape_v4"), ("model", "tcmonodepth")]
+    ("key", "wrong"), [("model", "landscape_v5_depth"), ("depth_model", "landscape_v5"), ("model", "tcmonodepth")]
 )
 def test_a_network_of_the_wrong_kind_is_an_error(tmp_path: Path, key: str, wrong: str) -> None:
     ((name, message),) = said(checked(tmp_path, 890.0, **{key: wrong}), SiteVerdict.WRONG)

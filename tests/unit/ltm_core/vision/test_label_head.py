@@ -145,9 +145,9 @@ def test_a_head_s_label_errors_are_those_of_its_own_calibration(tmp_path: Path) 
 
 def test_a_head_is_that_of_the_network_that_it_was_taught_on(tmp_path: Path) -> None:
     photo = np.random.default_rng(3).integers(0, 255, (72, 128, 3), np.uint8)
-    by_default, of_it = (Segmenter.open(name, head="near") for name in ("landscape_v4", "landscape_lite0"))
+    by_default, of_it = (Segmenter.open(name, head="near") for name in ("landscape_v5", "landscape_lite0"))
     assert by_default.described == of_it.described
     np.testing.assert_array_equal(by_default.segment(photo).labels, of_it.segment(photo).labels)
-    assert Segmenter.open("landscape_v4").manifest.name != by_default.manifest.name
-    errors = [known_errors(name, "near") for name in ("landscape_v4", "landscape_lite0")]
+    assert Segmenter.open("landscape_v5").manifest.name != by_default.manifest.name
+    errors = [known_errors(name, "near") for name in ("landscape_v5", "landscape_lite0")]
     np.testing.assert_array_equal(errors[0].shares, errors[1].shares)

@@ -56,7 +56,7 @@ def test_an_unknown_name_lists_the_models_that_ship() -> None:
 def test_a_network_that_takes_heads_of_another_leaves_cameras_with_a_head_to_it() -> None:
     for suffix in ("", "_depth"):
         network, taught = (
-            NetworkManifest.find(f"landscape_v4{suffix}"),
+            NetworkManifest.find(f"landscape_v5{suffix}"),
             NetworkManifest.find(f"landscape_lite0{suffix}"),
         )
         assert network.serving("landscape") is network

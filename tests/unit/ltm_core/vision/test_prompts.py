@@ -111,8 +111,8 @@ def test_invalid_vocabularies(trained: Path, prompts: dict[str, Any], place: str
 
 
 def test_networks_and_files_that_cannot_take_prompts(trained: Path, tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="landscape_v4"):
-        prompted(NetworkManifest.find("landscape_v4"), RIGHT, LABELS)
+    with pytest.raises(ModelError, match="landscape_v5"):
+        prompted(NetworkManifest.find("landscape_v5"), RIGHT, LABELS)
     content = yaml.safe_load(trained.read_text())
     for name, changed in (("tokenizer", trained), ("encoder", trained.with_name("worded.onnx"))):
         files = {key: str(trained.parent / file) for key, file in content["prompts"].items()} | {name: str(changed)}

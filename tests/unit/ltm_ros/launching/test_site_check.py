@@ -54,10 +54,10 @@ def test_parameters_of_every_node_are_looked_at(tmp_path: Path) -> None:
     wanted = Wanted(view={"serve": True}, record={"bag": str(tmp_path / "bag")})
     (found,) = [one for one in examine(site, wanted).findings if one.name == "nodes"]
     assert (found.verdict, found.said) == (SiteVerdict.OK, "11 nodes in 4 processes, parameters are valid")
-    labels_by_depth = Wanted(parameters={"segmentation": {"model": "landscape_v4_depth"}})
+    labels_by_depth = Wanted(parameters={"segmentation": {"model": "landscape_v5_depth"}})
     (found,) = [one for one in examine(site, labels_by_depth).findings if one.name == "nodes"]
     assert found.verdict is SiteVerdict.WRONG
-    assert "landscape_v4_depth" in found.said
+    assert "landscape_v5_depth" in found.said
     wrong = Wanted(record={"bag": str(tmp_path / "bag"), "max_bytes": -7})
     (found,) = [one for one in examine(site, wrong).findings if one.name == "nodes"]
     assert found.verdict is SiteVerdict.WRONG

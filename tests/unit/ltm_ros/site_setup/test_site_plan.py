@@ -244,7 +244,7 @@ def test_an_update_adds_a_raster_and_keeps_the_rest(key: str, makers: list[Any],
     out = tmp_path / "site"
     made(wish(out), makers)
     before = {file: file.read_bytes() for file in out.rglob("*.tif")}
-    text = (out / "site.yaml").read_text() + "model: landscape_v4  # mine\n"
+    text = (out / "site.yaml").read_text() + "model: landscape_v5  # mine\n"
     (out / "site.yaml").write_text(text)
     newer = Maker("newer", get_args(Kind), 30.0, 2025)
     if key == "fuel":

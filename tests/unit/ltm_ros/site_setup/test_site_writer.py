@@ -18,7 +18,7 @@ name: ridge   # the old name
 crs: EPSG:32611
 origin: [346000, 3783000]
 dem: {path: mine.tif}  # lidar of 2019
-model: "landscape_v4"
+model: "landscape_v5"
 
 # cameras of the county
 cameras:
@@ -55,7 +55,7 @@ def test_a_change_keeps_all_other_keys_and_comments(key: str, tmp_path: Path) ->
     text = path.read_text()
     for comment in ("# my site", "# the old name", "# cameras of the county", "# not mounted yet", "# surveyed"):
         assert comment in text
-    assert '"landscape_v4"' in text
+    assert '"landscape_v5"' in text
     assert "2025" in text
     before, after = yaml.safe_load(OWN), yaml.safe_load(text)
     assert after["cameras"] == {**before["cameras"], "north": CAMERA}
