@@ -68,9 +68,9 @@ class FusionRules(StrictModel):
     two cells of e^4 = 55 to 1 or four of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
     sure_odds: float = Field(7.4, ge=1)
     """Odds above which a cell is confident."""
-    support_cells: int = Field(6, ge=0, le=16)
+    support_cells: int = Field(4, ge=0, le=16)
     """Distance in cells, to each side, within which confident cells support each other; with 30 m cells, a square of
-    390 m."""
+    270 m."""
     fill_cells: int = Field(4, ge=4, le=8)
     """Minimum number of reported neighbours, of eight, for a cell to be reported with them, if its own observations
     favour that life form but are not conclusive. Three neighbours form a straight edge."""
