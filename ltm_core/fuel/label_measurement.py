@@ -117,7 +117,8 @@ def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
     known = np.flatnonzero(cells >= LEAST_CELLS)
     if len(known) < 2:
         raise ImageError(f"fewer than two life forms have {LEAST_CELLS} cells to learn from: {cells.tolist()}")
-    inputs = np.concatenate([at_incidence(site.seen, site.cosine, np.array(INCIDENCE)) for site in sites])
+    knots = np.array(INCIDENCE)
+    inputs = np.concatenate([at_incidence(site.seen, site.cosine, knots) for site in sites])
     true = np.concatenate([site.true for site in sites])
     used = np.isin(true, known)
     weight = np.concatenate([np.full(len(site.true), 1 / max(len(site.true), 1)) for site in sites])[used]

@@ -1,17 +1,14 @@
 """The scene branch: MOSAIC, a small network of everyday scenes, whose evidence is added to the class scores.
 
-Its weights came from MLPerf Mobile (R4, Apache-2.0), where it learnt 31 classes of ADE20K. They go on learning here, at
-a smaller input. What its 32 outputs mean for our classes was measured on photos, as odds; two of its maps correct that.
+MLPerf Mobile published it (R4, Apache-2.0) with weights that had learnt 31 classes of ADE20K. `odds` are the measured
+ratios of how often each of its 32 outputs occurs on each of our classes; two of its maps correct the result.
 """
 
 from typing import Final
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-
-from ltm_core.base.types import Float32Array
 
 SIZE: Final = (192, 320)
 _BLOCKS: Final = (
@@ -41,7 +38,7 @@ _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the photo that 
 
 
 def _same(inputs: int, outputs: int, kernel: int = 1, stride: int = 1, dilation: int = 1, groups: int = 1) -> nn.Module:
-    """Return a convolution as TensorFlow pads it: after the last row and column first."""
+    """Return a convolution that keeps the size, but for the stride; odd padding goes below and right."""
     total = (kernel - 1) * dilation + 1 - stride if stride > 1 else (kernel - 1) * dilation
     before = total // 2
     if before * 2 == total:
@@ -51,7 +48,7 @@ def _same(inputs: int, outputs: int, kernel: int = 1, stride: int = 1, dilation:
 
 
 def _enlarged(x: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return a map at a multiple of its size, linearly, its first row and column staying in place."""
+    """Return a map enlarged to a multiple of its size by linear interpolation; its top left pixel stays in place."""
     rows, columns = size
     padded = functional.pad(x, (0, 1, 0, 1), mode="replicate")
     large = functional.interpolate(padded, (rows + 1, columns + 1), mode="bilinear", align_corners=True)
@@ -132,20 +129,3 @@ class SceneBranch(nn.Module):  # type: ignore[misc]  # torch is not typed for us
         evidence = torch.log(self.odds(torch.softmax(own, 1)) + _LEAST)
         scores: Tensor = self.share * (evidence + self.correction(torch.cat([_enlarged(x, finest), own], 1)))
         return scores
-
-    def convolutions(self) -> list[nn.Conv2d]:
-        """Return the convolutions of MOSAIC in the order of its file."""
-        ordered: list[nn.Module] = [self.stem, *self.blocks, self.top, self.quarter, *self.around]
-        ordered += [self.join, self.eighth, self.smooth, self.own]
-        return [conv for part in ordered for conv in part.modules() if isinstance(conv, nn.Conv2d)]
-
-    def take(self, weights: list[tuple[Float32Array, Float32Array]], odds: Float32Array) -> None:
-        """Start from MOSAIC's weights and biases in the order of its file, and the odds (classes, 32) of its outputs;
-        the correction is nothing."""
-        with torch.no_grad():
-            for conv, (weight, bias) in zip(self.convolutions(), weights, strict=True):
-                conv.weight.copy_(torch.from_numpy(np.asarray(weight)))
-                conv.bias.copy_(torch.from_numpy(np.asarray(bias)))
-            self.odds.weight.copy_(torch.from_numpy(np.asarray(odds))[:, :, None, None])
-            nn.init.zeros_(self.correction.weight)
-            nn.init.zeros_(self.correction.bias)

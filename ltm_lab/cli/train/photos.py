@@ -34,8 +34,8 @@ def photos(
 ) -> None:
     """Label the photos of CONFIG with teachers and write each to OUT/<set>/: picture, labels, order of depth.
 
-    Of a CSV such as landscape_photos.csv, write the regions and areas that people labelled (landscape_labels.zip and
-    landscape_areas.json) and what they said of whole photos into the sets `areas_train` and `areas_validate`.
+    Of a CSV such as landscape_photos.csv, write the labelled regions and areas (landscape_labels.zip and
+    landscape_areas.json) and the statements about whole photos into the sets `areas_train` and `areas_validate`.
     """
     import cv2
     import numpy as np
