@@ -211,12 +211,15 @@ def pooled(
     `shown` (N, V, E, F), `best` (N, V, E), `span` (N, V, E, 2): what each view shows in each epoch, the most that a
     frame adds to it, and its first and last second. `full`: that most of a frame that sees a cell perfectly. What a
     frame shows are probabilities under equal odds of all forms: as likelihoods those of views multiply, where as
-    evidence they are averaged. `least`: of what is shown, the least share that any form is taken to have."""
+    evidence they are averaged. `least`: of what is shown, the least share that any form is taken to have.
+
+    Views that resemble each other count less than independent ones: evidence by its amount, likelihoods by how much
+    likelier each view makes one form than all others. A grazing view that tells little takes nothing from another."""
     n, views, epochs, forms = shown.shape
     out, told = np.zeros((n, forms)), np.zeros((n, forms))
     share, lasting = np.empty(forms), np.empty(forms)
     for i in range(n):
-        total, largest = 0.0, 0.0
+        total, largest, clear, clearest = 0.0, 0.0, 0.0, 0.0
         for v in range(views):
             share[:], lasting[:] = 0.0, 0.0
             whole, kept, peak, looks, begin, end = 0.0, 0.0, 0.0, 0.0, np.inf, 0.0
@@ -245,15 +248,20 @@ def pooled(
             # No more looks than frames of full worth, nor than the light has had time to change between.
             looks = max(min(looks, whole / peak, 1 + (end - begin) / look_s), 1.0)
             worth = peak * looks / (1 + (looks - 1) * between_frames)
-            weight = worth / full * kept / whole
+            weight, first, second = worth / full * kept / whole, -np.inf, -np.inf
             for f in range(forms):
                 out[i, f] += worth * share[f] / whole
                 if kept > 0:
-                    told[i, f] += weight * np.log((1 - forms * least) * lasting[f] / kept + least)
+                    tells = weight * np.log((1 - forms * least) * lasting[f] / kept + least)
+                    told[i, f] += tells
+                    first, second = max(first, tells), max(second, min(first, tells))
             total += worth
             largest = max(largest, worth)
-        # Views that resemble each other count less than independent ones.
+            if kept > 0:
+                clear += first - second
+                clearest = max(clearest, first - second)
         if total > 0:
             out[i] /= 1 + (total / largest - 1) * between_views
-            told[i] /= 1 + (total / largest - 1) * between_views
+        if clearest > 0:
+            told[i] /= 1 + (clear / clearest - 1) * between_views
     return out, told

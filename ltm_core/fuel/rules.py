@@ -56,26 +56,26 @@ class FusionRules(StrictModel):
     """Seconds after which a frame of the same view is a new observation, because the light has changed."""
     max_sigma: float = Field(300.0, gt=0)
     """Maximum standard deviation of a cell's position in metres; cells with more get no evidence."""
-    posterior: float = Field(0.72, gt=0.5, lt=1)
+    posterior: float = Field(0.65, gt=0.5, lt=1)
     """Minimum probability that the new life form is the most common one in a cell before the cell changes."""
     odds: float = Field(2.0, ge=1)
     """Minimum likelihood ratio of the new life form to any other before a cell changes. A change of a single cell also
     needs `support`."""
     min_interval_s: float = Field(3600.0, ge=0)
     """Minimum seconds between the first and the last frame that show the new life form, unless two cameras show it."""
-    support: float = Field(8.0, ge=0)
-    """Minimum sum of log odds of the confident neighbouring cells for the same change before any of them is reported:
-    two cells of e^4 = 55 to 1 or four of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
+    support: float = Field(24.0, ge=0)
+    """Minimum sum of log odds of the confident cells about a cell for the same change before it is reported: twelve
+    cells of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
     sure_odds: float = Field(7.4, ge=1)
     """Odds above which a cell is confident."""
-    support_cells: int = Field(4, ge=0, le=16)
+    support_cells: int = Field(8, ge=0, le=16)
     """Distance in cells, to each side, within which confident cells support each other; with 30 m cells, a square of
-    270 m."""
-    fill_cells: int = Field(4, ge=4, le=8)
-    """Minimum number of reported neighbours, of eight, for a cell to be reported with them, if its own observations
-    favour that life form but are not conclusive. Three neighbours form a straight edge."""
+    510 m."""
+    fill_cells: int = Field(3, ge=1, le=9)
+    """Minimum number of cells that look changed alike in the three by three about a cell, itself included, before it is
+    reported. That suffices for a cell whose own observations favour that life form but are not conclusive."""
     fill_evidence: float = Field(1.0, gt=0)
-    """Minimum evidence of a cell for the life form of its reported neighbours."""
+    """Minimum evidence of such a cell for that life form."""
     mixture: float = Field(0.3, gt=0, le=0.5)
     """Share of the evidence above which both grass and shrub make a grass-shrub cell."""
     burned_days: float = Field(180.0, gt=0)
@@ -103,8 +103,8 @@ def supported_changes(
     """Return (H, W) the cells whose change is reported.
 
     A view errs alike over some cells, but seldom with much certainty over a whole region. So a cell that looks changed
-    counts if confident cells of the same change about it have log odds of `rules.support` or more together. A cell that
-    only leans to what most of those about it have become is reported with them.
+    counts if confident cells of the same change about it have log odds of `rules.support` or more together, and a few
+    beside it look changed alike. A cell that only leans to what these have become is reported with them.
 
     `wanted`: life forms into which cells look changed, 0 none. `log_odds`: by how much their looks make that form
     likelier than any other. `company`: life forms of cells that have changed for other reasons, 0 none. `leaning`:
@@ -125,5 +125,5 @@ def supported_changes(
             sums[changed] = np.ceil(rules.support * _UNIT / _ENOUGH_COMPANY)
         region = (wanted == form) & (summed(sums, 2 * rules.support_cells + 1) >= np.floor(rules.support * _UNIT))
         near = summed((region | changed).astype(np.uint8), 3)
-        kept |= region | ((leaning == form) & (near >= rules.fill_cells))
+        kept |= (region | (leaning == form)) & (near >= rules.fill_cells)
     return kept

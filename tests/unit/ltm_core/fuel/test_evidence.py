@@ -84,7 +84,7 @@ def test_each_form_has_its_own_time_constant(label: Label) -> None:
 
 def test_burned_labels_live_for_a_time() -> None:
     labels = LabelSet((*LABELS.names, "burned"), (*LABELS.colors, (0, 0, 0)), (*LABELS.ground_cover, True))
-    rules, errors = FusionRules(support=0.0), LabelErrors(np.eye(7), INDEPENDENT)
+    rules, errors = FusionRules(support=0.0, fill_cells=1), LabelErrors(np.eye(7), INDEPENDENT)
     grid_map = EvidenceMap(GRID, PRIOR, labels, rules, errors)
     frame = votes(Label.TREE, cells=[(0, 0)])
     counts = np.zeros((1, 8), np.uint32)
@@ -100,7 +100,7 @@ def test_burned_labels_live_for_a_time() -> None:
 
 
 def test_cells_of_two_forms_keep_the_usual_one_until_another_is_sure() -> None:
-    assert fuel_map(votes(Label.SHRUB, pixels=1)).layers().life_form[1, 0] == LifeForm.GRASS
+    assert fuel_map(votes(Label.SHRUB, pixels=1), posterior=0.72).layers().life_form[1, 0] == LifeForm.GRASS
     sure = fuel_map(*(votes(Label.SHRUB, NOW + k * HOUR) for k in range(3))).layers()
     assert (sure.life_form[1, 0], sure.code[1, 0], sure.changed[1, 0]) == (LifeForm.SHRUB, 121, False)
 

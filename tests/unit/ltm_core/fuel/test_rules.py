@@ -2,7 +2,8 @@ import numpy as np
 from scenes.evidence_scene import ASSUMED, HOUR, LABELS, NOW, visibility, votes
 
 from ltm_core.fuel.evidence import EvidenceMap
-from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
+from ltm_core.fuel.evidence_kernel import pooled
+from ltm_core.fuel.label_errors import FLOOR, LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import LifeForm
 from ltm_core.fuel.prior import FuelPrior
 from ltm_core.fuel.rules import FusionRules, supported_changes
@@ -30,10 +31,10 @@ def test_a_region_that_no_cell_is_sure_of_is_not_reported() -> None:
 
 def test_a_sure_region_supports_cells_so_far_and_not_farther() -> None:
     odds = np.zeros((7, 40))
-    odds[3, 2:36] = 1.0
+    odds[2:5, 2:36] = 1.0
     odds[2:5, 2:5] = RULES.support / 3 + 0.01
     ends = np.flatnonzero(reported(odds)[3])
-    assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells)
+    assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells + 1)  # the last one only leans
 
 
 def test_what_the_terrain_has_changed_supports_what_cameras_see_beside_it() -> None:
@@ -46,17 +47,27 @@ def test_what_the_terrain_has_changed_supports_what_cameras_see_beside_it() -> N
     assert not reported(odds, company=company).any()
 
 
-def test_a_hole_in_what_has_changed_is_filled_where_it_leans_to_the_same_and_edges_stay() -> None:
+def test_cells_that_look_changed_alone_are_not_reported() -> None:
+    odds = np.zeros((20, 20))
+    odds[4:9, 4:9] = RULES.support / 4
+    odds[12, 4], odds[6, 12:14], odds[11, 10:13] = 2.0, 2.0, 2.0
+    alone = odds == 2.0
+    alone[11, 11] = False  # with one at each side
+    assert np.array_equal(reported(odds), (odds > 0) & ~alone)
+
+
+def test_a_cell_that_leans_to_what_three_beside_it_have_become_is_reported_with_them() -> None:
     wanted, odds = np.zeros((14, 17), np.uint8), np.zeros((14, 17))
     wanted[3:10, 4:13], odds[3:10, 4:13] = LifeForm.TREE, 4.0
     hole = [(5, 6), (5, 7), (7, 10)]  # two beside each other, and one
     for cell in hole:
         wanted[cell], odds[cell] = 0, 0.1
     leaning = np.full(wanted.shape, LifeForm.TREE, np.uint8)  # beyond the edges, too
-    leaning[7, 10] = LifeForm.GRASS
+    leaning[7, 10] = leaning[2] = LifeForm.GRASS
     filled = supported_changes(wanted, odds, None, RULES, leaning)
     expected = wanted > 0
     expected[5, 6:8] = True
+    expected[10, 5:12] = expected[4:9, 3] = expected[4:9, 13] = True  # one beyond straight edges, and no corner
     np.testing.assert_array_equal(filled, expected)
 
 
@@ -88,3 +99,23 @@ def test_another_side_of_a_stand_supports_a_change_that_more_looks_of_one_do_not
     both = patch_of((0.0, 0.0), (2.5, 2.0), (-2.5, 4.0), shown=shown, errors=systematic)
     assert not again.any()
     assert both.all()
+
+
+def joint_odds(*views: tuple[int, int]) -> float:
+    """Log odds of the first form over the second by views that show both so much, which are alike by 0.4."""
+    shown, best, span = (
+        np.zeros((1, 6, 2, 7), np.uint32),
+        np.zeros((1, 6, 2), np.uint16),
+        np.ones((1, 6, 2, 2), np.uint32),
+    )
+    for view, shares in enumerate(views):
+        shown[0, view, 0, :2], best[0, view, 0] = shares, sum(shares)
+    _, told = pooled(shown, best, span, 1.0, np.full(7, 1e9), 3600.0, 0.9, 0.4, 2560.0, FLOOR)
+    return float(told[0, 0] - told[0, 1])
+
+
+def test_a_view_that_tells_little_takes_nothing_from_another() -> None:
+    clear = joint_odds((2304, 256))
+    np.testing.assert_allclose(clear, np.log(9), rtol=0.02)
+    np.testing.assert_allclose(joint_odds((2304, 256), (1280, 1280)), clear, rtol=1e-9)
+    np.testing.assert_allclose(joint_odds((2304, 256), (2304, 256)), 2 * clear / 1.4, rtol=1e-9)
