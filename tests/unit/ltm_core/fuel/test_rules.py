@@ -116,6 +116,6 @@ def joint_odds(*views: tuple[int, int]) -> float:
 
 def test_a_view_that_tells_little_takes_nothing_from_another() -> None:
     clear = joint_odds((2304, 256))
-    np.testing.assert_allclose(clear, np.log(9), rtol=0.02)
+    np.testing.assert_allclose(clear, np.log(9), rtol=0.05)  # no form is taken to have less than FLOOR
     np.testing.assert_allclose(joint_odds((2304, 256), (1280, 1280)), clear, rtol=1e-9)
     np.testing.assert_allclose(joint_odds((2304, 256), (2304, 256)), 2 * clear / 1.4, rtol=1e-9)
