@@ -216,7 +216,7 @@ def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: Fue
     """Return the layers for a map of label classes (H, W), 255 unseen, which are taken as certain. For maps without
     evidence, such as a majority vote: a cell whose class agrees with the prior keeps its code."""
     codes = np.full(classes.shape, NODATA, np.int16) if prior is None else prior.codes
-    rules = FusionRules(min_interval_s=0.0, support=0.0, fill_cells=1)
+    rules = FusionRules(min_interval_s=0.0, support=0.0, block_cells=1)
     seen = (classes >= 1) & (classes <= FORMS)
     certain = np.zeros((int(seen.sum()), FORMS))
     certain[np.arange(len(certain)), classes[seen].astype(np.int64) - 1] = 1000.0

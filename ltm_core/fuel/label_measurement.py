@@ -287,7 +287,7 @@ def measure_labels(
         if np.array_equal(before, changed):
             break
     if known is None:
-        # As if a second view had shown nothing: the design effect of two.
+        # Nothing else confirms it: the design effect of two views.
         return replace(errors, one_view=round(1 / (1 + errors.correlation.between_views), 3))
     unconfirmed = (changes(errors)[seen] > 0) & (known[seen] == 0)
     return replace(errors, one_view=float(unconfirmed.mean() <= _UNCONFIRMED))

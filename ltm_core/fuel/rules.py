@@ -59,8 +59,7 @@ class FusionRules(StrictModel):
     posterior: float = Field(0.65, gt=0.5, lt=1)
     """Minimum probability that the new life form is the most common one in a cell before the cell changes."""
     odds: float = Field(2.0, ge=1)
-    """Minimum likelihood ratio of the new life form to any other before a cell changes. A change of a single cell also
-    needs `support`."""
+    """Minimum likelihood ratio of the new life form to any other before a cell changes."""
     min_interval_s: float = Field(3600.0, ge=0)
     """Minimum seconds between the first and the last frame that show the new life form, unless two cameras show it."""
     support: float = Field(24.0, ge=0)
@@ -71,7 +70,7 @@ class FusionRules(StrictModel):
     support_cells: int = Field(8, ge=0, le=16)
     """Distance in cells, to each side, within which confident cells support each other; with 30 m cells, a square of
     510 m."""
-    fill_cells: int = Field(3, ge=1, le=9)
+    block_cells: int = Field(3, ge=1, le=9)
     """Minimum number of cells that look changed alike in the three by three about a cell, itself included, before it is
     reported. That suffices for a cell whose own observations favour that life form but are not conclusive."""
     fill_evidence: float = Field(1.0, gt=0)
@@ -125,5 +124,5 @@ def supported_changes(
             sums[changed] = np.ceil(rules.support * _UNIT / _ENOUGH_COMPANY)
         region = (wanted == form) & (summed(sums, 2 * rules.support_cells + 1) >= np.floor(rules.support * _UNIT))
         near = summed((region | changed).astype(np.uint8), 3)
-        kept |= (region | (leaning == form)) & (near >= rules.fill_cells)
+        kept |= (region | (leaning == form)) & (near >= rules.block_cells)
     return kept

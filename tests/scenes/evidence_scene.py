@@ -51,7 +51,7 @@ def votes(
 def fuel_map(
     *frames: CellVotes, prior: FuelPrior | None = PRIOR, errors: LabelErrors = TRUSTED, **rules: float
 ) -> EvidenceMap:
-    result = EvidenceMap(GRID, prior, LABELS, FusionRules(**{"support": 0.0, "fill_cells": 1} | rules), errors)
+    result = EvidenceMap(GRID, prior, LABELS, FusionRules(**{"support": 0.0, "block_cells": 1} | rules), errors)
     for frame in frames:
         result.add(frame)
     return result

@@ -84,7 +84,7 @@ def test_each_form_has_its_own_time_constant(label: Label) -> None:
 
 def test_burned_labels_live_for_a_time() -> None:
     labels = LabelSet((*LABELS.names, "burned"), (*LABELS.colors, (0, 0, 0)), (*LABELS.ground_cover, True))
-    rules, errors = FusionRules(support=0.0, fill_cells=1), LabelErrors(np.eye(7), INDEPENDENT)
+    rules, errors = FusionRules(support=0.0, block_cells=1), LabelErrors(np.eye(7), INDEPENDENT)
     grid_map = EvidenceMap(GRID, PRIOR, labels, rules, errors)
     frame = votes(Label.TREE, cells=[(0, 0)])
     counts = np.zeros((1, 8), np.uint32)

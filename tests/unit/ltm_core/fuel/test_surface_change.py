@@ -167,7 +167,7 @@ def test_told_cells_change_and_no_others(
 
 
 def test_what_cameras_saw_before_is_void_and_what_they_see_after_counts() -> None:
-    evidence = map_of(np.full(FUEL.shape, 102, np.int16), support=0.0, fill_cells=1)
+    evidence = map_of(np.full(FUEL.shape, 102, np.int16), support=0.0, block_cells=1)
     for day in range(6):
         for camera in ("north", "east", "south"):
             evidence.add(frame(LifeForm.TREE, NOW - 10**7 + day * 20 * 86400, camera))
