@@ -85,12 +85,17 @@ def what_is_seen(
     top, left = rows.min() - 1, cols.min() - 1
     index = np.full((rows.max() - top + 2, cols.max() - left + 2), -1, np.int64)
     index[rows - top, cols - left] = np.arange(n)
-    north, east = np.rint(np.cos(bearing)).astype(np.int64), np.rint(np.sin(bearing)).astype(np.int64)
+    down, right = away_from_camera(bearing)
     blocks = [np.ones((n, 1)), shares, sure[:, None] * shares]
     for step in (-1, 1):
-        beside = index[rows - top - step * north, cols - left + step * east]
+        beside = index[rows - top + step * down, cols - left + step * right]
         blocks.append(shares[np.where(beside < 0, np.arange(n), beside)])
     return np.concatenate(blocks, axis=1)
+
+
+def away_from_camera(bearing: NDArray[np.floating]) -> tuple[Int64Array, Int64Array]:
+    """Return (N,) rows and columns from a cell to the one behind it, for directions of sight as in `what_is_seen`."""
+    return np.rint(-np.cos(bearing)).astype(np.int64), np.rint(np.sin(bearing)).astype(np.int64)
 
 
 def at_incidence(seen: Float64Array, cosine: Float64Array, incidence: Float64Array) -> Float64Array:

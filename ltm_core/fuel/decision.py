@@ -72,7 +72,7 @@ class FuelLayers:
 class _JudgedCells:
     """(N, ...) what evidence and prior say of each cell on its own. `base`: the prior's code, or that of what has grown
     since a burn. `agreeing` (N, FORMS): the forms that it stands for. `fresh`: burned, and not grown over yet. `alpha`
-    (N, FORMS): the Dirichlet's. `challenger`: index of the strongest other form. `log_odds` (N,): by how much looks
+    (N, FORMS): the Dirichlet's. `challenger`: index of the likeliest other form. `log_odds` (N,): by how much looks
     make that likelier than any other form. `wants`: to change into it. `leans`: would with others about it."""
 
     codes: Int16Array
@@ -149,7 +149,8 @@ class ChangeDecision:
         inside, outside = rules.prior_share / np.maximum(count, 1), (1 - rules.prior_share) / (FORMS - count)
         prior = rules.prior_evidence * np.where(agreeing, inside, outside)
         alpha = cells.evidence + np.where(has_prior[:, None], prior, _FLAT)
-        challenger, better, p_max = _contest(alpha, agreeing, has_prior)
+        p_max = _favoured(alpha, agreeing, has_prior)
+        challenger = np.where(agreeing & has_prior[:, None], -np.inf, cells.log_likelihood).argmax(axis=1)
         here = np.arange(len(codes)), challenger
         others = cells.log_likelihood.copy()
         others[here] = -np.inf
@@ -157,8 +158,8 @@ class ChangeDecision:
         apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
         lasts = apart | (cells.cameras[here] > 1)
         # Whether it lasts is asked of the cells about it, not of this one.
-        leans = has_prior & ~masked & (cells.evidence[here] >= rules.fill_evidence) & (log_odds >= 0)
-        wants = has_prior & ~masked & lasts & (better >= rules.posterior) & (log_odds >= np.log(rules.odds))
+        leans = has_prior & ~masked & (cells.evidence[here] >= rules.evidence) & (log_odds >= 0)
+        wants = leans & lasts & (log_odds >= np.log(rules.odds))
         fresh = burned & ~regrown
         return _JudgedCells(codes, base, agreeing, has_prior, fresh, alpha, challenger, log_odds, p_max, wants, leans)
 
@@ -196,20 +197,16 @@ class ChangeDecision:
         return np.where(mixed, np.int16(c.grass_shrub), c.of(form, original[:, _SHRUB]))
 
 
-def _contest(
-    alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray
-) -> tuple[Int64Array, Float64Array, Float64Array]:
-    """Return the strongest life form that does not agree with the prior, the probability that it is the commonest, and
-    that of whatever is favoured. Two shares of a Dirichlet distribution stand to each other as a beta variable to its
-    complement: share b is the larger of a and b with probability I_1/2(alpha_a, alpha_b)."""
+def _favoured(alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray) -> Float64Array:
+    """Return (N,) the probability that what is favoured, a form that agrees with the prior or another, is the
+    commonest. Two shares of a Dirichlet distribution stand to each other as a beta variable to its complement: share b
+    is the larger of a and b with probability I_1/2(alpha_a, alpha_b)."""
     others = np.where(agreeing & has_prior[:, None], -np.inf, alpha)
-    challenger = others.argmax(axis=1)
     first, second = (np.partition(others, -k, axis=1)[:, -k] for k in (1, 2))
     held = np.where(has_prior, np.where(agreeing, alpha, 0.0).sum(axis=1), second)
     over_prior = scipy.special.betainc(held, first, 0.5)
     over_second = scipy.special.betainc(np.maximum(second, 1e-9), first, 0.5)
-    better = np.minimum(over_prior, over_second)
-    return challenger, better, np.where(has_prior, np.maximum(better, 1 - over_prior), over_prior)
+    return np.where(has_prior, np.maximum(np.minimum(over_prior, over_second), 1 - over_prior), over_prior)
 
 
 def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: FuelClimate) -> FuelLayers:

@@ -19,7 +19,7 @@ import scipy  # loads its parts when they are first used
 
 from ltm_core.base.errors import ImageError
 from ltm_core.base.types import Float64Array, Int16Array, Int64Array, UInt8Array
-from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceModel, at_incidence, what_is_seen
+from ltm_core.fuel.cell_appearance_model import SEEN, CellAppearanceModel, at_incidence, away_from_camera, what_is_seen
 from ltm_core.fuel.label_errors import LabelCorrelation, LabelErrors
 from ltm_core.fuel.life_form import FORMS, LifeForm, form_counts, forms_of
 from ltm_core.fuel.votes import CellVotes
@@ -46,18 +46,21 @@ LEAST_PIXELS_LEARNT = 3
 """Least pixels that a cell must have in a frame to be learnt from."""
 LEAST_CELLS = 150
 """Of a form, over all frames, before it counts as known."""
+_RAREST = 8.0
+"""Maximum factor by which cells before which another form stands than usual count more or less."""
 _RIDGE = 3.0
 """Penalty of squared weights, which keeps those that little is known of near zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenCells:
-    """Cells of known form as frames saw them: (N,) rows, columns and index of the true form, (N, SEEN) what is seen,
-    (N,) cosine of incidence."""
+    """Cells of known form as frames saw them: (N,) rows, columns, index of the true form and id of the form in
+    front of it, 0 unknown; (N, SEEN) what is seen, (N,) cosine of incidence."""
 
     rows: Int64Array
     cols: Int64Array
     true: Int64Array
+    front: Int64Array
     seen: Float64Array
     cosine: Float64Array
 
@@ -78,9 +81,12 @@ def seen_cells(
         rows, cols = votes.rows.astype(np.int64), votes.cols.astype(np.int64)
         seen = what_is_seen(rows, cols, counts / pixels[:, None], votes.visibility.bearing, votes.confidence)
         true = truth[rows, cols].astype(np.int64) - 1
+        down, right = away_from_camera(votes.visibility.bearing)
+        front = np.pad(truth, 1)[rows - down + 1, cols - right + 1].astype(np.int64)
+        front[front > FORMS] = 0
         good = (pixels >= least) & (true >= 0) & (true < FORMS)
         cosine = votes.visibility.cos_incidence.astype(np.float64)
-        parts.append((rows[good], cols[good], true[good], seen[good], cosine[good]))
+        parts.append([column[good] for column in (rows, cols, true, front, seen, cosine)])
     if not parts:
         raise ImageError("no frame to learn the looks of cells from")
     return SeenCells(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
@@ -111,18 +117,23 @@ def fit_softmax(
 
 
 def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
-    """Logistic regression over the cells of all sites; each site weighs the same, and so does each form. Raises
-    ImageError where fewer than two forms have cells enough."""
+    """Logistic regression over the cells of all sites; each site weighs the same, and so does each form, with the same
+    forms in front of it: which forms follow each other along a line of sight is for the map to say, else the looks
+    repeat it. Raises ImageError where fewer than two forms have cells enough."""
     cells = np.sum([np.bincount(site.true, minlength=FORMS) for site in sites], axis=0)
     known = np.flatnonzero(cells >= LEAST_CELLS)
     if len(known) < 2:
         raise ImageError(f"fewer than two life forms have {LEAST_CELLS} cells to learn from: {cells.tolist()}")
     knots = np.array(INCIDENCE)
     inputs = np.concatenate([at_incidence(site.seen, site.cosine, knots) for site in sites])
-    true = np.concatenate([site.true for site in sites])
+    true, front = (np.concatenate([getattr(site, name) for site in sites]) for name in ("true", "front"))
     used = np.isin(true, known)
     weight = np.concatenate([np.full(len(site.true), 1 / max(len(site.true), 1)) for site in sites])[used]
-    inputs, true = inputs[used], true[used]
+    inputs, true, front = inputs[used], true[used], front[used]
+    weight /= np.bincount(true, weight, FORMS)[true]
+    pairs = np.zeros((FORMS, FORMS + 1))
+    np.add.at(pairs, (true, front), weight)
+    weight *= np.clip(pairs[known].mean(axis=0) / np.maximum(pairs, 1e-9), 1 / _RAREST, _RAREST)[true, front]
     weight *= len(true) / len(known) / np.bincount(true, weight, FORMS)[true]
     found = fit_softmax(inputs, (true[:, None] == known).astype(np.float64), weight, _RIDGE)
     names = [LifeForm(form + 1).name.lower() for form in known.tolist()]

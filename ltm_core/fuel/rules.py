@@ -57,12 +57,14 @@ class FusionRules(StrictModel):
     max_sigma: float = Field(300.0, gt=0)
     """Maximum standard deviation of a cell's position in metres; cells with more get no evidence."""
     posterior: float = Field(0.65, gt=0.5, lt=1)
-    """Minimum probability that the new life form is the most common one in a cell before the cell changes."""
+    """Minimum probability that another life form of the same code is commoner, before the cell's life form changes."""
+    evidence: float = Field(1.0, gt=0)
+    """Minimum evidence for the new life form before a cell changes."""
     odds: float = Field(2.0, ge=1)
     """Minimum likelihood ratio of the new life form to any other before a cell changes."""
     min_interval_s: float = Field(3600.0, ge=0)
     """Minimum seconds between the first and the last frame that show the new life form, unless two cameras show it."""
-    support: float = Field(24.0, ge=0)
+    support: float = Field(32.0, ge=0)
     """Minimum sum of log odds of the confident cells about a cell for the same change before it is reported: twelve
     cells of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
     sure_odds: float = Field(7.4, ge=1)
@@ -73,8 +75,6 @@ class FusionRules(StrictModel):
     block_cells: int = Field(3, ge=1, le=9)
     """Minimum number of cells that look changed alike in the three by three about a cell, itself included, before it is
     reported. That suffices for a cell whose own observations favour that life form but are not conclusive."""
-    fill_evidence: float = Field(1.0, gt=0)
-    """Minimum evidence of such a cell for that life form."""
     mixture: float = Field(0.3, gt=0, le=0.5)
     """Share of the evidence above which both grass and shrub make a grass-shrub cell."""
     burned_days: float = Field(180.0, gt=0)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-SIZE: Final = (192, 320)
+SIZE: Final = (256, 416)
 _BLOCKS: Final = (
     # expanded channels, kernel, stride, dilation, outputs
     (96, 3, 2, 1, 32),
@@ -31,7 +31,7 @@ _BLOCKS: Final = (
     (384, 5, 1, 2, 96),
 )
 _QUARTER, _EIGHTH = 1, 5  # blocks whose expanded maps the decoder reads
-_POOLS: Final = ((6, 10), (4, 4), (2, 2))  # of the map of a sixteenth, 12 x 20
+_POOLS: Final = ((8, 13), (4, 6), (2, 3))  # of the map of a sixteenth, 16 x 26
 _OWN: Final = 32  # classes of MOSAIC, the first of them "other"
 _LEAST: Final = 1e-3  # odds of a class for which there is no evidence
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the photo that comes in
@@ -86,7 +86,7 @@ class _Around(nn.Module):  # type: ignore[misc]  # torch is not typed for us
 
 
 class SceneBranch(nn.Module):  # type: ignore[misc]  # torch is not typed for us
-    """Photo (N, 3, H, W), ImageNet-normalised, of any size -> scores (N, classes, 48, 80)."""
+    """Photo (N, 3, H, W), ImageNet-normalised, of any size -> scores (N, classes, 64, 104)."""
 
     def __init__(self, classes: int) -> None:
         super().__init__()
