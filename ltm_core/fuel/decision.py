@@ -168,13 +168,13 @@ class ChangeDecision:
     ) -> tuple[Int16Array, Int64Array, Float64Array, Float64Array]:
         """Return (N,) code, index of the life form, `p_max` and entropy of cells, of which those of `changes` (N,)
         become their challenger. The form of cells that do not change: of those that a prior's code stands for, its
-        first one, unless another is the commoner with the probability that a change would need; without a prior, the
-        commonest."""
+        first one, unless another is the commoner and likelier by the odds that a change would need; without a prior,
+        the commonest."""
         rules, codes, alpha, every = self._rules, judged.codes, judged.alpha, np.arange(len(judged.codes))
         original = forms_of(codes)
         possible = judged.agreeing | ~judged.has_prior[:, None]
         best, usual = np.where(possible, alpha, -1.0).argmax(axis=1), possible.argmax(axis=1)
-        surer = scipy.special.betainc(alpha[every, usual], alpha[every, best], 0.5) >= rules.posterior
+        surer = cells.log_likelihood[every, best] - cells.log_likelihood[every, usual] >= np.log(rules.odds)
         form = np.where(changes, judged.challenger, np.where(judged.has_prior & ~surer, usual, best))
         faded = changes & (form == _BURNED) & (now_s - cells.last[:, _BURNED] >= rules.burned_days * 86400)
         code = np.where(changes | ~judged.has_prior, self._new_codes(form, original, cells.evidence), judged.base)
@@ -205,8 +205,8 @@ def _favoured(alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray) ->
     first, second = (np.partition(others, -k, axis=1)[:, -k] for k in (1, 2))
     held = np.where(has_prior, np.where(agreeing, alpha, 0.0).sum(axis=1), second)
     over_prior = scipy.special.betainc(held, first, 0.5)
-    over_second = scipy.special.betainc(np.maximum(second, 1e-9), first, 0.5)
-    return np.where(has_prior, np.maximum(np.minimum(over_prior, over_second), 1 - over_prior), over_prior)
+    over_all = np.minimum(over_prior, scipy.special.betainc(np.maximum(second, 1e-9), first, 0.5))
+    return np.asarray(np.where(has_prior, np.maximum(over_all, 1 - over_prior), over_prior))
 
 
 def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: FuelClimate) -> FuelLayers:

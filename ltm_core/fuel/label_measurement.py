@@ -46,8 +46,7 @@ LEAST_PIXELS_LEARNT = 3
 """Least pixels that a cell must have in a frame to be learnt from."""
 LEAST_CELLS = 150
 """Of a form, over all frames, before it counts as known."""
-_RAREST = 8.0
-"""Maximum factor by which cells before which another form stands than usual count more or less."""
+_RAREST = 8.0  # most by which cells with an unusual form in front of them count more
 _RIDGE = 3.0
 """Penalty of squared weights, which keeps those that little is known of near zero."""
 
@@ -131,8 +130,7 @@ def fit_cell_appearance(sites: Sequence[SeenCells]) -> CellAppearanceModel:
     weight = np.concatenate([np.full(len(site.true), 1 / max(len(site.true), 1)) for site in sites])[used]
     inputs, true, front = inputs[used], true[used], front[used]
     weight /= np.bincount(true, weight, FORMS)[true]
-    pairs = np.zeros((FORMS, FORMS + 1))
-    np.add.at(pairs, (true, front), weight)
+    pairs = np.bincount(true * (FORMS + 1) + front, weight, FORMS * (FORMS + 1)).reshape(FORMS, -1)
     weight *= np.clip(pairs[known].mean(axis=0) / np.maximum(pairs, 1e-9), 1 / _RAREST, _RAREST)[true, front]
     weight *= len(true) / len(known) / np.bincount(true, weight, FORMS)[true]
     found = fit_softmax(inputs, (true[:, None] == known).astype(np.float64), weight, _RIDGE)

@@ -56,12 +56,11 @@ class FusionRules(StrictModel):
     """Seconds after which a frame of the same view is a new observation, because the light has changed."""
     max_sigma: float = Field(300.0, gt=0)
     """Maximum standard deviation of a cell's position in metres; cells with more get no evidence."""
-    posterior: float = Field(0.65, gt=0.5, lt=1)
-    """Minimum probability that another life form of the same code is commoner, before the cell's life form changes."""
     evidence: float = Field(1.0, gt=0)
     """Minimum evidence for the new life form before a cell changes."""
     odds: float = Field(2.0, ge=1)
-    """Minimum likelihood ratio of the new life form to any other before a cell changes."""
+    """Minimum likelihood ratio of the new life form to any other before a cell changes, and to its usual one before a
+    cell of two forms becomes the other."""
     min_interval_s: float = Field(3600.0, ge=0)
     """Minimum seconds between the first and the last frame that show the new life form, unless two cameras show it."""
     support: float = Field(32.0, ge=0)

@@ -52,9 +52,6 @@ class LabellingConfig(StrictModel):
     confidence: float | None = Field(None, ge=0, lt=1)
     """Probability below which labels are withdrawn; None: the value of the network's manifest or the camera's label
     head."""
-    tree_contrast: float | None = Field(None, ge=0)
-    """Local contrast in 8-bit steps below which *tree* is withdrawn if the image shows more shrub, because hazy far
-    slopes are labelled as trees; None: the value of the network's manifest or the camera's label head."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,8 +190,7 @@ class LabellingStep:
         network = label_network(site, config.model or site.model)
         self.reliability = known_errors(network, own.label_head, site.label_heads).state
         """What the labels were measured on (`LabelErrors.state`)."""
-        chosen = config.model_dump(include={"confidence", "tree_contrast"}, exclude_none=True)
-        self.segmenter.withdraw_otherwise = chosen
+        self.segmenter.withdraw_otherwise = config.model_dump(include={"confidence"}, exclude_none=True)
 
     @cached_property
     def _terrain(self) -> UnlikelyLabels:

@@ -88,14 +88,10 @@ class SegmentationScore:
         present = self.iou[self.true > 0]
         return float(present.mean()) if present.size else float("nan")
 
-    @property
-    def mean_f1(self) -> float:
-        """Macro F1: mean over the classes that occur in the truth; NaN where none does."""
-        return self.macro_f1(range(len(self.confusion)))
-
-    def macro_f1(self, classes: Iterable[int]) -> float:
-        """Return the mean F1 over those of `classes` that occur in the truth; NaN where none does."""
-        present = [self.f1[k] for k in classes if self.true[k] > 0]
+    def macro_f1(self, classes: Iterable[int] | None = None) -> float:
+        """Return the mean F1 over those of `classes`, or of all, that occur in the truth; NaN where none does."""
+        counted = range(len(self.confusion)) if classes is None else classes
+        present = [self.f1[k] for k in counted if self.true[k] > 0]
         return float(np.mean(present)) if present else float("nan")
 
 

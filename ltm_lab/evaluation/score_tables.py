@@ -48,7 +48,7 @@ def as_json(score: BagScore) -> dict[str, Any]:
             "pixels": labels.pixels,
             "accuracy": labels.accuracy,
             "mean_iou": labels.mean_iou,
-            "macro_f1": labels.mean_f1,
+            "macro_f1": labels.macro_f1(),
             "f1": labels.f1.tolist(),
             "iou": labels.iou.tolist(),
             "precision": labels.precision.tolist(),

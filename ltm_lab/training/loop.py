@@ -185,9 +185,9 @@ def train(
         if step % settings.validate_every == 0 or step == last:
             if split.validation:
                 validation = score(run.average, split.validation, config, classes)
-                run.validations.append((step, validation.mean_f1))
-                if validation.mean_f1 > run.best:
-                    run.best, run.best_state = validation.mean_f1, copy.deepcopy(run.average.state_dict())
+                run.validations.append((step, validation.macro_f1()))
+                if validation.macro_f1() > run.best:
+                    run.best, run.best_state = validation.macro_f1(), copy.deepcopy(run.average.state_dict())
             if checkpoint is not None:
                 run.save(checkpoint, config)
         report(Progress(step, run.losses[-1], validation, run.best))

@@ -11,7 +11,7 @@ from ltm_lab.options import JsonFile
 def areas(
     photos: Annotated[Path, typer.Argument(help="Folder of the listed photos ID.jpg (landscape_photos.csv).")],
     networks: Annotated[str, typer.Option(help="Label networks, separated by commas; default: the shipped one.")] = "",
-    role: Annotated[str, typer.Option(help="Which photos: train, validate or test.")] = "test",
+    role: Annotated[str, typer.Option(help="Which photos: train, validate, test or blind.")] = "test",
     threads: Annotated[int, typer.Option(help="CPU threads.")] = 1,
     json_path: JsonFile = None,
 ) -> None:

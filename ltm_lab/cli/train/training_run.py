@@ -58,7 +58,7 @@ def trained(
             if progress.step % 100 == 0:
                 console.print(f"step {progress.step}: loss {progress.loss:.3f}")
             if progress.validation is not None:
-                console.print(f"step {progress.step}: validation mean F1 {progress.validation.mean_f1:.3f}")
+                console.print(f"step {progress.step}: validation mean F1 {progress.validation.macro_f1():.3f}")
 
         network, run = loop.train(settings, split, len(labels), report, run, checkpoint)
     write_curve(out / f"{settings.name}_curve.png", settings.name, run)
@@ -120,7 +120,7 @@ def report_scores(
             print_class_scores(console, labels.names, score.labels, title)
         report[part] = {
             name: {
-                "macro_f1": score.labels.mean_f1,
+                "macro_f1": score.labels.macro_f1(),
                 "mean_iou": score.labels.mean_iou,
                 "ece": score.calibration.ece,
                 "confusion": score.labels.confusion.tolist(),

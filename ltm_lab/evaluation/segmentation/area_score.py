@@ -24,7 +24,7 @@ from ltm_core.vision.overlays import scene_of
 from ltm_core.vision.segmenter import Segmenter
 from ltm_lab.resources import lab_config
 
-ROLES = ("train", "validate", "test")
+ROLES = ("train", "validate", "test", "blind")
 _GRID = 400  # pixels across a photo that are compared
 
 

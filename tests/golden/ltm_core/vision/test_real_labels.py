@@ -14,10 +14,10 @@ from ltm_lab.evaluation.segmentation.network_score import score_frames
 def test_towers_without_any_teaching(shared_data: Path) -> None:
     counted = (Label.SKY, Label.SHRUB, Label.BARE, Label.BUILT)
     score = score_frames(Segmenter.open(), read_frames(shared_data / "hpwren_towers", 7), macro=counted)
-    assert score.macro_f1 >= 0.79  # 0.817 by `ltm-lab eval segmentation`
-    assert score.labels.f1[Label.SHRUB] >= 0.88  # 0.894
-    assert score.labels.f1[Label.TREE] >= 0.33  # 0.354
-    assert score.labels.f1[Label.BUILT] > 0.45  # 0.540
+    assert score.macro_f1 >= 0.84  # 0.868 by `ltm-lab eval segmentation`
+    assert score.labels.f1[Label.SHRUB] >= 0.87  # 0.884
+    assert score.labels.f1[Label.TREE] >= 0.30  # 0.325
+    assert score.labels.f1[Label.BUILT] > 0.65  # 0.742
 
 
 def test_a_glacier_and_its_cliffs_are_no_plants(shared_data: Path) -> None:
@@ -26,7 +26,7 @@ def test_a_glacier_and_its_cliffs_are_no_plants(shared_data: Path) -> None:
         (path,) = (shared_data / "engabreen").rglob(f"{name}.jpg")
         labels = segmenter.segment(read_rgb(path)).labels
         plants = np.isin(labels, (Label.GRASS, Label.SHRUB, Label.TREE)).mean()
-        assert plants < 0.02  # 0.007 and 0.005
+        assert plants < 0.035  # 0.024 and 0.029
 
 
 def test_near_plants_by_the_head_for_them(shared_data: Path) -> None:

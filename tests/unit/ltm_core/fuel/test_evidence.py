@@ -100,7 +100,7 @@ def test_burned_labels_live_for_a_time() -> None:
 
 
 def test_cells_of_two_forms_keep_the_usual_one_until_another_is_sure() -> None:
-    assert fuel_map(votes(Label.SHRUB, pixels=1), posterior=0.72).layers().life_form[1, 0] == LifeForm.GRASS
+    assert fuel_map(votes(Label.SHRUB, pixels=1), odds=100.0).layers().life_form[1, 0] == LifeForm.GRASS
     sure = fuel_map(*(votes(Label.SHRUB, NOW + k * HOUR) for k in range(3))).layers()
     assert (sure.life_form[1, 0], sure.code[1, 0], sure.changed[1, 0]) == (LifeForm.SHRUB, 121, False)
 
@@ -214,11 +214,11 @@ def test_a_camera_s_votes_are_weighed_by_the_errors_of_its_own_head() -> None:
     shrub, tree = LifeForm.SHRUB - 1, LifeForm.TREE - 1
     shares[[shrub, tree]] = shares[[tree, shrub]]  # a head that calls shrub what is tree, and tree what is shrub
     turned = LabelErrors(shares, INDEPENDENT)
-    mixed = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(), TRUSTED, errors_of={"north": turned})
+    mixed = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(support=24.0), TRUSTED, errors_of={"north": turned})
     for second in (NOW, NOW + HOUR):
         mixed.add(votes(Label.SHRUB, second, "north"))
     assert mixed.layers().life_form[0, 0] == LifeForm.TREE
-    other = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(), TRUSTED, errors_of={"south": turned})
+    other = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(support=24.0), TRUSTED, errors_of={"south": turned})
     for second in (NOW, NOW + HOUR):
         other.add(votes(Label.SHRUB, second, "north"))
     assert other.layers().life_form[0, 0] == LifeForm.SHRUB

@@ -38,7 +38,7 @@ def test_labels_are_corrected_by_the_networks_errors() -> None:
     shares[1] = 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
     shares[2] = 0.0, 0.6, 0.4, 0.0, 0.0, 0.0, 0.0
     for errors, code in ((TRUSTED, 145), (LabelErrors(shares, INDEPENDENT), 165)):
-        grid_map = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(), errors)
+        grid_map = EvidenceMap(GRID, PRIOR, LABELS, FusionRules(support=24.0), errors)
         for frame in frames:
             grid_map.add(frame)
         assert grid_map.layers().code[0, 0] == code

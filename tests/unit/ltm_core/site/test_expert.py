@@ -30,13 +30,13 @@ def load(folder: Path, **changes: Any) -> Site:
 def test_tuning_constants_join_their_sections(tmp_path: Path) -> None:
     tuning = {
         "refraction": 0.2,
-        "fuel": {"fusion": {"posterior": 0.9}},
+        "fuel": {"fusion": {"odds": 9.0}},
         "terrain": {"threshold": 3.0},
         "cameras": {"north": {"source": {"timeout": 20.0}}},
     }
     site = load(tmp_path, expert=tuning | {"locating": {"plume_height": 90.0}})
     assert site.locating is None
-    assert (site.refraction, site.fuel.fusion.posterior, len(site.coarser)) == (0.2, 0.9, 1)
+    assert (site.refraction, site.fuel.fusion.odds, len(site.coarser)) == (0.2, 9.0, 1)
     assert site.terrain is not None
     assert (site.terrain.resolution, site.terrain.threshold) == (2.0, 3.0)
     assert getattr(site.cameras["north"].source, "timeout", None) == 20.0
