@@ -155,13 +155,13 @@ class ChangeDecision:
         others = cells.log_likelihood.copy()
         others[here] = -np.inf
         log_odds = cells.log_likelihood[here] - others.max(axis=1)
-        apart = cells.last[here].astype(np.int64) - cells.first[here] >= rules.min_interval_s
-        lasts = apart | (cells.cameras[here] > 1)
-        # Whether it lasts is asked of the cells about it, not of this one.
+        seconds = cells.last[here] - cells.first[here].astype(np.int64)
+        lasts = (seconds >= rules.min_interval_s) | (cells.cameras[here] > 1)
         leans = has_prior & ~masked & (cells.evidence[here] >= rules.evidence) & (log_odds >= 0)
         wants = leans & lasts & (log_odds >= np.log(rules.odds))
-        fresh = burned & ~regrown
-        return _JudgedCells(codes, base, agreeing, has_prior, fresh, alpha, challenger, log_odds, p_max, wants, leans)
+        return _JudgedCells(
+            codes, base, agreeing, has_prior, burned & ~regrown, alpha, challenger, log_odds, p_max, wants, leans
+        )
 
     def _settle(
         self, judged: _JudgedCells, changes: BoolArray, cells: CellEvidence, now_s: float

@@ -22,7 +22,7 @@ from ltm_core.fuel.frame_evidence import frame_evidence
 from ltm_core.fuel.label_errors import ALIKE, FLOOR, UNMEASURED, LabelErrors
 from ltm_core.fuel.life_form import FORMS, NODATA, LifeForm, forms_of, label_forms
 from ltm_core.fuel.prior import FuelPrior, system_of
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import GROWTH, FusionRules
 from ltm_core.fuel.votes import CellVotes
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.storage.tile_store_schema import Field
@@ -169,7 +169,7 @@ class EvidenceMap:
     def reached_from(self, window: Window) -> Window:
         """Return the part of the grid whose layers depend on evidence in a window."""
         row, col, height, width = window
-        reach = self.rules.support_cells + 1
+        reach = self.rules.support_cells + 1 + GROWTH
         top, left = max(row - reach, 0), max(col - reach, 0)
         bottom, right = min(row + height + reach, self.geometry.height), min(col + width + reach, self.geometry.width)
         return top, left, bottom - top, right - left

@@ -63,9 +63,9 @@ class FusionRules(StrictModel):
     cell of two forms becomes the other."""
     min_interval_s: float = Field(3600.0, ge=0)
     """Minimum seconds between the first and the last frame that show the new life form, unless two cameras show it."""
-    support: float = Field(32.0, ge=0)
-    """Minimum sum of log odds of the confident cells about a cell for the same change before it is reported: twelve
-    cells of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
+    support: float = Field(30.0, ge=0)
+    """Minimum sum of log odds of the confident cells about a cell for the same change before it is reported: 15 cells
+    of e^2 = 7 to 1. Repeated label errors of one view have lower confidence."""
     sure_odds: float = Field(7.4, ge=1)
     """Odds above which a cell is confident."""
     support_cells: int = Field(8, ge=0, le=16)
@@ -73,7 +73,7 @@ class FusionRules(StrictModel):
     510 m."""
     block_cells: int = Field(3, ge=1, le=9)
     """Minimum number of cells that look changed alike in the three by three about a cell, itself included, before it is
-    reported. That suffices for a cell whose own observations favour that life form but are not conclusive."""
+    reported. A cell that only favours that life form needs more reported cells than this beside it."""
     mixture: float = Field(0.3, gt=0, le=0.5)
     """Share of the evidence above which both grass and shrub make a grass-shrub cell."""
     burned_days: float = Field(180.0, gt=0)
@@ -87,22 +87,19 @@ class FusionRules(StrictModel):
 _UNIT: Final = 256
 """Resolution of log odds: they are summed as integers of 1 / _UNIT, so that a part of the map gives the same bits as
 the whole."""
+GROWTH: Final = 3  # number of cells by which a change grows into its holes and notches
 _ENOUGH_COMPANY: Final = 3
 """Number of cells that have changed for other reasons than evidence that is support enough."""
 
 
 def supported_changes(
-    wanted: UInt8Array,
-    log_odds: Float64Array,
-    company: UInt8Array | None,
-    rules: FusionRules,
-    leaning: UInt8Array,
+    wanted: UInt8Array, log_odds: Float64Array, company: UInt8Array | None, rules: FusionRules, leaning: UInt8Array
 ) -> BoolArray:
     """Return (H, W) the cells whose change is reported.
 
     A view errs alike over some cells, but seldom with much certainty over a whole region. So a cell that looks changed
     counts if confident cells of the same change about it have log odds of `rules.support` or more together, and a few
-    beside it look changed alike. A cell that only leans to what these have become is reported with them.
+    beside it look changed alike. From there the change grows into holes and notches whose cells lean to it.
 
     `wanted`: life forms into which cells look changed, 0 none. `log_odds`: by how much their looks make that form
     likelier than any other. `company`: life forms of cells that have changed for other reasons, 0 none. `leaning`:
@@ -122,6 +119,9 @@ def supported_changes(
             changed = company == form
             sums[changed] = np.ceil(rules.support * _UNIT / _ENOUGH_COMPANY)
         region = (wanted == form) & (summed(sums, 2 * rules.support_cells + 1) >= np.floor(rules.support * _UNIT))
-        near = summed((region | changed).astype(np.uint8), 3)
-        kept |= (region | (leaning == form)) & (near >= rules.block_cells)
+        grown = region & (summed((region | changed).astype(np.uint8), 3) >= rules.block_cells)
+        for _ in range(GROWTH):
+            beside = summed((grown | changed).astype(np.uint8), 3)
+            grown |= (region | (leaning == form)) & (beside > rules.block_cells)
+        kept |= grown
     return kept

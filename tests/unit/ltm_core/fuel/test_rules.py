@@ -34,7 +34,7 @@ def test_a_sure_region_supports_cells_so_far_and_not_farther() -> None:
     odds[2:5, 2:36] = 1.0
     odds[2:5, 2:5] = RULES.support / 3 + 0.01
     ends = np.flatnonzero(reported(odds)[3])
-    assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells + 1)  # the last one only leans
+    assert (ends.min(), ends.max()) == (2, 4 + RULES.support_cells)  # cells that only lean do not carry it on
 
 
 def test_what_the_terrain_has_changed_supports_what_cameras_see_beside_it() -> None:
@@ -56,18 +56,17 @@ def test_cells_that_look_changed_alone_are_not_reported() -> None:
     assert np.array_equal(reported(odds), (odds > 0) & ~alone)
 
 
-def test_a_cell_that_leans_to_what_three_beside_it_have_become_is_reported_with_them() -> None:
+def test_holes_and_notches_that_lean_to_a_change_are_reported_with_it() -> None:
     wanted, odds = np.zeros((14, 17), np.uint8), np.zeros((14, 17))
     wanted[3:10, 4:13], odds[3:10, 4:13] = LifeForm.TREE, 4.0
-    hole = [(5, 6), (5, 7), (7, 10)]  # two beside each other, and one
-    for cell in hole:
+    hole, notch = [(5, 6), (5, 7), (7, 10)], [(3, 7), (3, 8), (4, 7), (4, 8)]
+    for cell in hole + notch:
         wanted[cell], odds[cell] = 0, 0.1
     leaning = np.full(wanted.shape, LifeForm.TREE, np.uint8)  # beyond the edges, too
     leaning[7, 10] = leaning[2] = LifeForm.GRASS
     filled = supported_changes(wanted, odds, None, RULES, leaning)
     expected = wanted > 0
-    expected[5, 6:8] = True
-    expected[10, 5:12] = expected[4:9, 3] = expected[4:9, 13] = True  # one beyond straight edges, and no corner
+    expected[5, 6:8] = expected[3:5, 7:9] = True
     np.testing.assert_array_equal(filled, expected)
 
 

@@ -11,7 +11,7 @@ from scenes.outlets import Kept
 
 from ltm_core.base.errors import ConfigError, MessageError
 from ltm_core.fuel.life_form import LifeForm
-from ltm_core.fuel.rules import FusionRules
+from ltm_core.fuel.rules import GROWTH, FusionRules
 from ltm_core.geometry.grid import GridGeometry
 from ltm_core.pipeline.site_surface import terrain_grid
 from ltm_core.raster.raster_io import write_geotiff
@@ -216,7 +216,7 @@ def test_a_burned_region_is_burned_until_it_grows_over(kept: Callable[..., Node]
     np.testing.assert_array_equal(node.life_form, np.where(mask, LifeForm.BURNED, LifeForm.TREE))
     (tile,) = node.outlet.on(FUEL_MAP_UPDATE)
     shown = np.array(tile.data).reshape(tile.info.height, tile.info.width)
-    about = FusionRules().support_cells + 1  # with the cells whose changes it may have a say in
+    about = FusionRules().support_cells + 1 + GROWTH  # with the cells whose changes it may have a say in
     assert shown.shape == (5 + 7 + about, 20 + 2 * about)
     np.testing.assert_array_equal(shown == LifeForm.BURNED, mask[: 12 + about, 40 - about : 60 + about][::-1])
     node.kill()
