@@ -43,10 +43,10 @@ class FuelLayers:
     """Layers of the fuel map, (H, W) each.
 
     `prior`, `code`: int16 fuel codes, NODATA where none. `life_form`: uint8 ids of `LifeForm`, 255 unknown; that of
-    the code. `p_max`: float32 probability that the commonest life form is the one that evidence and prior favour; NaN
-    where nothing is known. `entropy`: float32 of the shares of life forms, 0 certain to 1 nothing known. `evidence`:
-    float32, of all frames; 0 where only the prior speaks. `last_seen`: int64 ns, 0 never. `seen_by`: uint8 cameras, 8
-    for more."""
+    the code. `p_max`: float32 probability that the commonest life form is the new one of a changed cell, and in other
+    cells the one that evidence and prior favour; NaN where nothing is known. `entropy`: float32 of the shares of life
+    forms, 0 certain to 1 nothing known. `evidence`: float32, of all frames; 0 where only the prior speaks. `last_seen`:
+    int64 ns, 0 never. `seen_by`: uint8 cameras, 8 for more."""
 
     prior: Int16Array
     code: Int16Array
@@ -83,7 +83,6 @@ class _JudgedCells:
     alpha: Float64Array
     challenger: Int64Array
     log_odds: Float64Array
-    p_max: Float64Array
     wants: BoolArray
     leans: BoolArray
 
@@ -149,7 +148,6 @@ class ChangeDecision:
         inside, outside = rules.prior_share / np.maximum(count, 1), (1 - rules.prior_share) / (FORMS - count)
         prior = rules.prior_evidence * np.where(agreeing, inside, outside)
         alpha = cells.evidence + np.where(has_prior[:, None], prior, _FLAT)
-        p_max = _favoured(alpha, agreeing, has_prior)
         challenger = np.where(agreeing & has_prior[:, None], -np.inf, cells.log_likelihood).argmax(axis=1)
         here = np.arange(len(codes)), challenger
         others = cells.log_likelihood.copy()
@@ -159,9 +157,8 @@ class ChangeDecision:
         lasts = (seconds >= rules.min_interval_s) | (cells.cameras[here] > 1)
         leans = has_prior & ~masked & (cells.evidence[here] >= rules.evidence) & (log_odds >= 0)
         wants = leans & lasts & (log_odds >= np.log(rules.odds))
-        return _JudgedCells(
-            codes, base, agreeing, has_prior, burned & ~regrown, alpha, challenger, log_odds, p_max, wants, leans
-        )
+        fresh = burned & ~regrown
+        return _JudgedCells(codes, base, agreeing, has_prior, fresh, alpha, challenger, log_odds, wants, leans)
 
     def _settle(
         self, judged: _JudgedCells, changes: BoolArray, cells: CellEvidence, now_s: float
@@ -186,7 +183,7 @@ class ChangeDecision:
         back = changes & ~judged.fresh & ~faded & original[every, form]
         code = np.where(back | held(codes, rules.mask), codes, code)
         entropy = scipy.special.entr(alpha / alpha.sum(axis=1, keepdims=True)).sum(axis=1) / np.log(FORMS)
-        return code.astype(np.int16), form, judged.p_max, entropy
+        return code.astype(np.int16), form, _probability(alpha, judged.agreeing, judged.has_prior, changes), entropy
 
     def _new_codes(self, form: Int64Array, original: BoolArray, evidence: Float64Array) -> Int16Array:
         """Return the codes of cells that are now of `form` (N,)."""
@@ -197,16 +194,16 @@ class ChangeDecision:
         return np.where(mixed, np.int16(c.grass_shrub), c.of(form, original[:, _SHRUB]))
 
 
-def _favoured(alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray) -> Float64Array:
-    """Return (N,) the probability that what is favoured, a form that agrees with the prior or another, is the
-    commonest. Two shares of a Dirichlet distribution stand to each other as a beta variable to its complement: share b
-    is the larger of a and b with probability I_1/2(alpha_a, alpha_b)."""
+def _probability(alpha: Float64Array, agreeing: BoolArray, has_prior: BoolArray, changes: BoolArray) -> Float64Array:
+    """Return (N,) the probability `FuelLayers.p_max`. Two shares of a Dirichlet distribution stand to each other as a
+    beta variable to its complement: share b is the larger of a and b with probability I_1/2(alpha_a, alpha_b)."""
     others = np.where(agreeing & has_prior[:, None], -np.inf, alpha)
     first, second = (np.partition(others, -k, axis=1)[:, -k] for k in (1, 2))
     held = np.where(has_prior, np.where(agreeing, alpha, 0.0).sum(axis=1), second)
     over_prior = scipy.special.betainc(held, first, 0.5)
     over_all = np.minimum(over_prior, scipy.special.betainc(np.maximum(second, 1e-9), first, 0.5))
-    return np.asarray(np.where(has_prior, np.maximum(over_all, 1 - over_prior), over_prior))
+    over_all = np.where(changes, over_all, np.maximum(over_all, 1 - over_prior))
+    return np.asarray(np.where(has_prior, over_all, over_prior))
 
 
 def layers_of_classes(classes: UInt8Array, prior: FuelPrior | None, climate: FuelClimate) -> FuelLayers:

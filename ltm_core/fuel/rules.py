@@ -39,7 +39,8 @@ class FusionRules(StrictModel):
     prior_share: float = Field(0.8, gt=0.5, lt=1)
     """Probability that the prior map is right about a cell's life form."""
     prior_evidence: float = Field(2.5, gt=0)
-    """Weight of the prior map in units of evidence; one unit is a pixel that sees a cell perfectly."""
+    """Weight of the prior map in units of evidence; one unit is a pixel that sees a cell perfectly. Weight and share
+    decide the probability that the map shows, not whether a cell changes."""
     frame_cap: float = Field(FRAME_CAP, gt=0, le=255)
     """Maximum evidence that one frame can add to one cell."""
     sure: float = Field(0.7, gt=0.5, lt=1)

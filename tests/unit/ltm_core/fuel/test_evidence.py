@@ -105,6 +105,14 @@ def test_cells_of_two_forms_keep_the_usual_one_until_another_is_sure() -> None:
     assert (sure.life_form[1, 0], sure.code[1, 0], sure.changed[1, 0]) == (LifeForm.SHRUB, 121, False)
 
 
+def test_the_probability_of_a_changed_cell_is_that_of_its_new_form() -> None:
+    trees = [votes(Label.TREE, NOW + k * HOUR) for k in range(3)]
+    for weight, sure in ((2.5, True), (1000.0, False)):
+        layers = fuel_map(*trees, prior_evidence=weight).layers()
+        assert layers.changed[0, 0]
+        assert bool(layers.p_max[0, 0] > 0.5) == sure
+
+
 def looks_of(bearing: float, source: str, second: float = NOW) -> CellVotes:
     return votes(Label.TREE, second, source, visibility=visibility(6, bearing=bearing))
 

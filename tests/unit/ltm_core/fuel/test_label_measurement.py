@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes.evidence_scene import GRID, LABELS, visibility, votes
+from scenes.evidence_scene import LABELS, visibility, votes
 
 from ltm_core.fuel.cell_appearance_model import SEEN
 from ltm_core.fuel.label_measurement import SeenCells, fit_cell_appearance, seen_cells
@@ -20,7 +20,6 @@ def test_the_cell_in_front_is_the_one_towards_the_camera(bearing: float, front: 
     known = truth != 255
     assert cells.front.tolist() == np.where(np.array(front) > FORMS, 0, front)[known].tolist()
     assert cells.true.tolist() == (truth[known] - 1).tolist()
-    assert GRID.shape == truth.shape
 
 
 def test_looks_do_not_repeat_which_forms_follow_each_other() -> None:

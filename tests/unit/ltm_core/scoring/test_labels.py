@@ -22,7 +22,7 @@ def test_scores_are_those_counted_by_hand() -> None:
     assert score.accuracy == pytest.approx(5 / 8)
     assert score.unlabelled == pytest.approx(1 / 8)
     assert score.mean_iou == pytest.approx((1 / 3 + 2 / 4 + 2 / 3) / 3)
-    assert score.macro_f1() == pytest.approx((2 / 4 + 4 / 6 + 4 / 5) / 3), "a class that nobody has is left out"
+    assert score.macro_f1() == pytest.approx((2 / 4 + 4 / 6 + 4 / 5) / 3), "a class without true pixels is left out"
     assert score.macro_f1([1, 2, 3]) == pytest.approx((4 / 6 + 4 / 5) / 2)
 
 
